@@ -1,0 +1,1 @@
+"""Bytes ⇄ samples: serial links, frame layouts, raw captures, recordings. Knows no physics."""

@@ -1,0 +1,1 @@
+"""The running system: acquisition, sequencer, store, API, reports, command line."""

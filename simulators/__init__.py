@@ -1,0 +1,1 @@
+"""Makes a block: truth motion → sensor effects → samples → frames on a line."""
