@@ -126,7 +126,7 @@ class EffectEntry(Document):
 
 
 class BlockModel(Document):
-    """``block.json``: what the simulator believes of one block. Content-addressed; a child names its parent's SHA-256."""
+    """``block.json``: what the simulator believes of one block. Content-addressed; a child names its parent's hash."""
 
     schema_: Literal["inertrim/block/1"] = Field("inertrim/block/1", alias="schema")
     parent: str | None = None
