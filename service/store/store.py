@@ -1,0 +1,303 @@
+"""The store: every write is one durable transaction, so that a killed process loses nothing it has confirmed.
+
+SQLite in WAL mode with ``synchronous=FULL``: a committed transaction survives SIGKILL and power loss.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import alembic.command
+import alembic.config
+from alembic.util.exc import CommandError
+from sqlalchemy import Connection, create_engine, event, func, select, update
+from sqlalchemy.exc import DatabaseError
+from sqlalchemy.orm import Session, sessionmaker
+
+from service.store.tables import Audit, IdempotencyKey, ResultRow, Run, Transition
+
+MIGRATIONS = Path(__file__).parent / "migrations"
+OVER = ("FAULT", "ABORTED")
+
+
+class StoreError(RuntimeError):
+    """The store cannot be opened; the text names the file, the reason and the remedy."""
+
+
+@dataclass(frozen=True)
+class TransitionRecord:
+    """One change of state as the sequencer tells it."""
+
+    source: str
+    target: str
+    reason: str
+    detail: str
+    simulated_s: float
+    utc: str
+    run_id: str | None
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run as the console reads it."""
+
+    id: str
+    started_utc: str
+    ended_utc: str | None
+    method: str
+    operator: str | None
+    state: str
+    reason: str
+    verdict: str | None
+    software: str
+    request: dict[str, Any]
+    block: dict[str, Any]
+    transitions: list[dict[str, Any]] = field(default_factory=list)
+
+
+def utc_now() -> str:
+    """Return the wall-clock time as RFC 3339 text with microseconds."""
+    return datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+class Store:
+    """Runs, transitions, results, audit and idempotency keys in one SQLite file.
+
+    Opening makes the file where there is none and brings an older one up to date. Safe to call from any thread.
+
+    Raises
+    ------
+    StoreError
+        The file is not a store, is damaged, or was written by a newer program.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.parent.is_dir():
+            raise StoreError(f"{path}: the folder does not exist. Make it, or set another store path.")
+        self._engine = create_engine(f"sqlite:///{path}", connect_args={"timeout": 10.0})
+        event.listen(self._engine, "connect", _prepare_connection)
+        self._sessions: sessionmaker[Session] = sessionmaker(self._engine, expire_on_commit=False)
+        try:
+            with self._engine.begin() as connection:
+                _migrate(connection)
+        except CommandError:
+            raise StoreError(f"{path}: written by a newer inertrim. Update the program, or set another path.") from None
+        except DatabaseError as error:
+            raise StoreError(f"{path}: not a usable store ({error.orig}). Restore it, or set another path.") from None
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._engine.dispose()
+
+    def check(self) -> None:
+        """Raise a database error when the store cannot be read."""
+        with self._sessions() as session:
+            session.execute(select(func.count(Run.id)))
+
+    # -- runs
+
+    def create_run(
+        self, request: dict[str, Any], method: str, operator: str | None, key: str | None = None
+    ) -> tuple[RunRecord, bool]:
+        """Record a new run, or return the one that ``key`` made before, and whether it is new.
+
+        Raises
+        ------
+        KeyError
+            The key was used with another request.
+        """
+        digest = hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
+        with self._sessions.begin() as session:
+            known = session.get(IdempotencyKey, key) if key is not None else None
+            if known is not None:
+                if known.request_sha256 != digest:
+                    raise KeyError(key)
+                return _record(session.get_one(Run, known.run_id)), False
+            now = utc_now()
+            run = Run(
+                id=_new_run_id(now),
+                started_utc=now,
+                method=method,
+                operator=operator,
+                request=request,
+                software=version("inertrim"),
+                state="POWER_UP",
+                reason="start",
+                block={},
+            )
+            session.add(run)
+            session.flush()
+            if key is not None:
+                session.add(IdempotencyKey(key=key, utc=now, request_sha256=digest, run_id=run.id))
+            return _record(run), True
+
+    def run_of_key(self, key: str) -> str | None:
+        """Return the run that an idempotency key made."""
+        with self._sessions() as session:
+            known = session.get(IdempotencyKey, key)
+            return known.run_id if known is not None else None
+
+    def run(self, run_id: str) -> RunRecord | None:
+        """Return one run with its transitions, or None."""
+        with self._sessions() as session:
+            run = session.get(Run, run_id)
+            if run is None:
+                return None
+            rows = session.scalars(select(Transition).where(Transition.run_id == run_id).order_by(Transition.id))
+            return _record(run, [_transition(row) for row in rows])
+
+    def runs(self, limit: int, before: str | None = None) -> list[RunRecord]:
+        """Return up to ``limit`` runs, newest first, older than run ``before``."""
+        query = select(Run).order_by(Run.id.desc()).limit(limit)
+        if before is not None:
+            query = query.where(Run.id < before)
+        with self._sessions() as session:
+            return [_record(run) for run in session.scalars(query)]
+
+    def note_block(self, run_id: str, facts: dict[str, Any]) -> None:
+        """Add what the block told of itself (identity, terms it held before) to the run."""
+        with self._sessions.begin() as session:
+            run = session.get_one(Run, run_id)
+            run.block = {**run.block, **facts}
+
+    # -- transitions
+
+    def add_transitions(self, records: Sequence[TransitionRecord]) -> None:
+        """Record changes of state in one transaction and keep each run's own state with them."""
+        with self._sessions.begin() as session:
+            for record in records:
+                _add_transition(session, record)
+
+    def last_transition(self) -> dict[str, Any] | None:
+        """Return the newest change of state of all, or None."""
+        with self._sessions() as session:
+            row = session.scalars(select(Transition).order_by(Transition.id.desc()).limit(1)).first()
+            return _transition(row) if row is not None else None
+
+    def abort_interrupted(self) -> list[str]:
+        """Mark every run that the last process left open as ABORTED (``service_stopped``); return their ids."""
+        with self._sessions.begin() as session:
+            open_runs = list(session.scalars(select(Run).where(Run.ended_utc.is_(None)).order_by(Run.id)))
+            for run in open_runs:
+                _add_transition(
+                    session,
+                    TransitionRecord(
+                        run.state,
+                        "ABORTED",
+                        "service_stopped",
+                        "the service was stopped or killed during the run",
+                        0.0,
+                        utc_now(),
+                        run.id,
+                    ),
+                )
+            return [run.id for run in open_runs]
+
+    # -- results
+
+    def save_result(self, run_id: str, document: str, verdict: str) -> None:
+        """Keep a run's result document."""
+        digest = hashlib.sha256(document.encode()).hexdigest()
+        with self._sessions.begin() as session:
+            session.merge(ResultRow(run_id=run_id, sha256=digest, document=document))
+            session.execute(update(Run).where(Run.id == run_id).values(verdict=verdict))
+
+    def result(self, run_id: str) -> str | None:
+        """Return a run's result document, or None."""
+        with self._sessions() as session:
+            row = session.get(ResultRow, run_id)
+            return row.document if row is not None else None
+
+    # -- audit
+
+    def audit(self, who: str, command: str, run_id: str | None, outcome: str, detail: str = "") -> None:
+        """Record one command with its outcome."""
+        with self._sessions.begin() as session:
+            session.add(Audit(utc=utc_now(), who=who, command=command, run_id=run_id, outcome=outcome, detail=detail))
+
+    def audit_log(self, limit: int = 100) -> list[dict[str, Any]]:
+        """Return the newest entries first."""
+        with self._sessions() as session:
+            rows = session.scalars(select(Audit).order_by(Audit.id.desc()).limit(limit))
+            return [{column.name: getattr(row, column.name) for column in Audit.__table__.columns} for row in rows]
+
+
+def _prepare_connection(connection: Any, _record: Any) -> None:
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=FULL")
+    cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.close()
+
+
+def _migrate(connection: Connection) -> None:
+    config = alembic.config.Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    config.attributes["connection"] = connection
+    alembic.command.upgrade(config, "head")
+
+
+def _new_run_id(now: str) -> str:
+    """Return an id that sorts by time and is a safe folder name."""
+    stamp = now.replace("-", "").replace(":", "").replace(".", "").rstrip("Z")
+    return f"{stamp}-{secrets.token_hex(2)}"
+
+
+def _add_transition(session: Session, record: TransitionRecord) -> None:
+    session.add(
+        Transition(
+            run_id=record.run_id,
+            utc=record.utc,
+            simulated_s=record.simulated_s,
+            source=record.source,
+            target=record.target,
+            reason=record.reason,
+            detail=record.detail,
+        )
+    )
+    if record.run_id is None:
+        return
+    run = session.get_one(Run, record.run_id)
+    if run.ended_utc is not None:
+        return  # a FAULT that is acknowledged later leaves the run as it ended
+    run.state, run.reason = record.target, record.reason
+    if record.target in OVER:
+        run.ended_utc = record.utc
+
+
+def _transition(row: Transition) -> dict[str, Any]:
+    return {
+        "utc": row.utc,
+        "simulated_s": row.simulated_s,
+        "source": row.source,
+        "target": row.target,
+        "reason": row.reason,
+        "detail": row.detail,
+        "run_id": row.run_id,
+    }
+
+
+def _record(run: Run, transitions: list[dict[str, Any]] | None = None) -> RunRecord:
+    return RunRecord(
+        run.id,
+        run.started_utc,
+        run.ended_utc,
+        run.method,
+        run.operator,
+        run.state,
+        run.reason,
+        run.verdict,
+        run.software,
+        dict(run.request),
+        dict(run.block),
+        transitions or [],
+    )

@@ -1,0 +1,79 @@
+"""Tables of the store. A change here comes with a migration beside it."""
+
+from __future__ import annotations
+
+from sqlalchemy import JSON, ForeignKey, Index, Text
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+
+class Base(DeclarativeBase):
+    """Declarative base of all tables."""
+
+
+class Run(Base):
+    """One request to trim the block, from its start to its end."""
+
+    __tablename__ = "runs"
+
+    id: Mapped[str] = mapped_column(Text, primary_key=True)
+    started_utc: Mapped[str] = mapped_column(Text)
+    ended_utc: Mapped[str | None] = mapped_column(Text)
+    method: Mapped[str] = mapped_column(Text)
+    operator: Mapped[str | None] = mapped_column(Text)
+    request: Mapped[dict[str, object]] = mapped_column(JSON)
+    software: Mapped[str] = mapped_column(Text)
+    state: Mapped[str] = mapped_column(Text)
+    reason: Mapped[str] = mapped_column(Text)
+    verdict: Mapped[str | None] = mapped_column(Text)
+    block: Mapped[dict[str, object]] = mapped_column(JSON)
+
+
+class Transition(Base):
+    """One change of state, with its reason."""
+
+    __tablename__ = "transitions"
+    __table_args__ = (Index("transitions_by_run", "run_id", "id"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    run_id: Mapped[str | None] = mapped_column(ForeignKey("runs.id"))
+    utc: Mapped[str] = mapped_column(Text)
+    simulated_s: Mapped[float] = mapped_column()
+    source: Mapped[str] = mapped_column(Text)
+    target: Mapped[str] = mapped_column(Text)
+    reason: Mapped[str] = mapped_column(Text)
+    detail: Mapped[str] = mapped_column(Text)
+
+
+class ResultRow(Base):
+    """The result document of a run, as written beside its recording."""
+
+    __tablename__ = "results"
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id"), primary_key=True)
+    sha256: Mapped[str] = mapped_column(Text)
+    document: Mapped[str] = mapped_column(Text)
+
+
+class Audit(Base):
+    """One command, accepted or refused: who, when, what, outcome."""
+
+    __tablename__ = "audit"
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    utc: Mapped[str] = mapped_column(Text)
+    who: Mapped[str] = mapped_column(Text)
+    command: Mapped[str] = mapped_column(Text)
+    run_id: Mapped[str | None] = mapped_column(Text)
+    outcome: Mapped[str] = mapped_column(Text)
+    detail: Mapped[str] = mapped_column(Text)
+
+
+class IdempotencyKey(Base):
+    """A key that a client gave with a command, so that asking twice starts one run."""
+
+    __tablename__ = "idempotency_keys"
+
+    key: Mapped[str] = mapped_column(Text, primary_key=True)
+    utc: Mapped[str] = mapped_column(Text)
+    request_sha256: Mapped[str] = mapped_column(Text)
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id"))
