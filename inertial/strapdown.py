@@ -138,8 +138,8 @@ def integrate(
         dt = interval[k]
         tx, ty, tz = dtheta[k, 0], dtheta[k, 1], dtheta[k, 2]
         wx, wy, wz = dv[k, 0], dv[k, 1], dv[k, 2]
-        # ∫∫ of a linear rate over both intervals: 1/12 when they are equal.
-        cone = dt * dt / (6.0 * before * (before + dt))
+        # Coning of a rate that runs linearly over both intervals.
+        cone = 1.0 / 12.0 if dt == before else dt * dt / (6.0 * before * (before + dt))
         fx = tx + cone * (oy * tz - oz * ty)
         fy = ty + cone * (oz * tx - ox * tz)
         fz = tz + cone * (ox * ty - oy * tx)
@@ -150,8 +150,8 @@ def integrate(
         # Velocity gained, in the body axes at the start of the sample: exact for constant rate and force.
         square = tx * tx + ty * ty + tz * tz
         if square < 0.01:
-            first = 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0))
-            second = 1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0))
+            first = 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square * (1.0 / 40320.0)))
+            second = 1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square * (1.0 / 362880.0)))
         else:
             angle = math.sqrt(square)
             first = (1.0 - math.cos(angle)) / square
@@ -186,8 +186,8 @@ def integrate(
         # Attitude: the body's turn on the right, the Earth's (small: two terms of its series) taken off on the left.
         square = fx * fx + fy * fy + fz * fz
         if square < 0.01:
-            scalar = 1.0 - square * (1.0 / 8.0 - square * (1.0 / 384.0 - square / 46080.0))
-            sine = 0.5 - square * (1.0 / 48.0 - square * (1.0 / 3840.0 - square / 645120.0))
+            scalar = 1.0 - square * (1.0 / 8.0 - square * (1.0 / 384.0 - square * (1.0 / 46080.0)))
+            sine = 0.5 - square * (1.0 / 48.0 - square * (1.0 / 3840.0 - square * (1.0 / 645120.0)))
         else:
             angle = math.sqrt(square)
             scalar = math.cos(0.5 * angle)
