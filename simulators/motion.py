@@ -1,8 +1,8 @@
 """True motion of a block on its launcher, and the increments that ideal sensors would integrate from it.
 
 The block turns about its own centre while the launcher stands on the Earth, so its specific force is the reaction to
-gravity, plus vibration. Within one motion the attitude turns at a constant rate about one axis, so that every increment has a closed
-form: with ``u`` the axis, ``φ = w·(t − start)`` and ``p`` the vector at the motion's start,
+gravity, plus vibration. Within one motion the attitude turns at a constant rate about one axis, so that every
+increment has a closed form: with ``u`` the axis, ``φ = w·(t − start)`` and ``p`` the vector at the motion's start,
 
     ∫R(u, −φ)p dt = u(u·p)·T + (p − u(u·p))·∫cos φ dt − (u × p)·∫sin φ dt
 
@@ -35,7 +35,7 @@ _ANCHOR = 64  # samples between exact evaluations of a tone; between them it adv
 
 @dataclass(frozen=True)
 class Turn:
-    """Constant rate [rad/s] about an axis fixed in the ``body`` (inner axis) or in the ``tangent`` frame (outer axis)."""
+    """Constant rate [rad/s] about an axis fixed in the ``body`` (inner) or in the ``tangent`` frame (outer axis)."""
 
     start_s: float
     end_s: float
@@ -46,7 +46,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Vibration:
-    """Gaussian vibration of the case along a body axis, of flat spectrum within ``band_hz``, root mean square [m/s²]."""
+    """Gaussian vibration of the case along a body axis, its spectrum flat within ``band_hz``; rms [m/s²]."""
 
     start_s: float
     end_s: float

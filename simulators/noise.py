@@ -1,0 +1,138 @@
+"""Sensor noise as increments: white, flicker, random walk of the rate, quantisation (IEEE 952, annex C).
+
+Each process is seeded, in its steady state from the first sample, and gives the same numbers however many samples
+are asked for at once. ``y`` stands for m/s² or rad/s; a process of c channels gives increments (n, c) [y·s].
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from inertial.compiled import compiled
+
+Array = NDArray[np.float64]
+
+_RATIO = 4.0  # between neighbouring correlation times: the sum stays within 1 % of 1/f
+_LONGEST_S = 2e4  # beyond a working day the flicker of a run is one more constant
+_SHORTEST_INTERVALS = 0.65  # of the fastest process: keeps the sampled spectrum within 6 % up to half the rate
+_UPDATES = 16.0  # a process is renewed at least so many times within its correlation time
+
+
+def generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the random numbers of one purpose, independent of all others of the same seed."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, *key])))
+
+
+class White:
+    """Velocity or angle random walk of ``coefficient`` (c,) [y/√Hz]: independent increments of variance N²·T."""
+
+    def __init__(self, coefficient: ArrayLike, interval_s: float, rng: np.random.Generator) -> None:
+        self._sigma = np.asarray(coefficient, dtype=np.float64) * math.sqrt(interval_s)
+        self._rng = rng
+
+    def increments(self, count: int) -> Array:
+        """Return the next ``count`` rows."""
+        return self._rng.standard_normal((count, self._sigma.size)) * self._sigma
+
+
+class Flicker:
+    """Bias instability of ``coefficient`` B (c,) [y]: two-sided spectrum B²/(2πf), Allan floor √(2 ln 2/π)·B = 0.664·B.
+
+    A sum of first-order Gauss–Markov processes whose correlation times τ stand in a constant ratio r: with variance
+    B²·ln r/π each, their Lorentzians add up to B²/(2πf) (∫ 2τ/(1 + (2πfτ)²) d ln τ = 1/(2f)). Slow ones are renewed
+    seldom and held between.
+    """
+
+    def __init__(self, coefficient: ArrayLike, interval_s: float, rng: np.random.Generator) -> None:
+        size = np.asarray(coefficient, dtype=np.float64) * interval_s
+        shortest = _SHORTEST_INTERVALS * interval_s
+        count = max(1, math.ceil(math.log(_LONGEST_S / shortest, _RATIO)) + 1)
+        intervals = _SHORTEST_INTERVALS * _RATIO ** np.arange(count)
+        self._every = np.maximum(1, intervals / _UPDATES).astype(np.int64)
+        self._decay = np.exp(-self._every / intervals)
+        sigma = np.sqrt(math.log(_RATIO) / math.pi) * size
+        self._kick = np.sqrt(1.0 - self._decay**2)[:, None] * sigma
+        self._rng = rng
+        self._state = rng.standard_normal((count, size.size)) * sigma
+        self._next = 0
+
+    def increments(self, count: int) -> Array:
+        """Return the next ``count`` rows."""
+        last = self._next + count
+        renewals = int(np.sum((last - 1) // self._every - (self._next - 1) // self._every))
+        normal = self._rng.standard_normal((renewals, self._state.shape[1]))
+        rows = _flicker(self._next, count, self._every, self._decay, self._kick, self._state, normal)
+        self._next = last
+        return rows
+
+
+@compiled
+def _flicker(
+    first: int, count: int, every: NDArray[np.int64], decay: Array, kick: Array, state: Array, normal: Array
+) -> Array:
+    rows = np.zeros((count, state.shape[1]))
+    used = 0
+    for k in range(count):
+        for level in range(every.size):
+            if (first + k) % every[level] == 0:
+                for c in range(state.shape[1]):
+                    state[level, c] = decay[level] * state[level, c] + kick[level, c] * normal[used, c]
+                used += 1
+            for c in range(state.shape[1]):
+                rows[k, c] += state[level, c]
+    return rows
+
+
+class RateRandomWalk:
+    """Rate random walk of ``coefficient`` K (c,) [y/√s]: the rate is K times a Wiener process from zero at turn-on.
+
+    A sample is the integral of the rate over its interval T: K·(W·T + T^1.5·(ξ₁/2 + ξ₂/√12)), exact jointly with the
+    walk's own step K·√T·ξ₁.
+    """
+
+    def __init__(self, coefficient: ArrayLike, interval_s: float, rng: np.random.Generator) -> None:
+        self._step = np.asarray(coefficient, dtype=np.float64) * math.sqrt(interval_s)
+        self._interval_s = interval_s
+        self._rng = rng
+        self._rate = np.zeros(self._step.size)
+
+    def increments(self, count: int) -> Array:
+        """Return the next ``count`` rows."""
+        normal = self._rng.standard_normal((count, 2, self._step.size))
+        return _rate_walk(self._rate, self._step, self._interval_s, normal)
+
+
+@compiled
+def _rate_walk(rate: Array, step: Array, interval_s: float, normal: Array) -> Array:
+    rows = np.empty((normal.shape[0], step.size))
+    for k in range(normal.shape[0]):
+        for c in range(step.size):
+            within = 0.5 * normal[k, 0, c] + normal[k, 1, c] / math.sqrt(12.0)
+            rows[k, c] = interval_s * (rate[c] + step[c] * within)
+            rate[c] += step[c] * normal[k, 0, c]
+    return rows
+
+
+class Quantiser:
+    """An integrator read out in whole steps (c,) [y·s]: the next reading carries what one leaves; 0 leaves as is."""
+
+    def __init__(self, step: ArrayLike) -> None:
+        self._step = np.asarray(step, dtype=np.float64)
+        self._left = np.zeros(self._step.size)
+
+    def quantise(self, increments: Array) -> None:
+        """Round rows (n, c) in place; every result is an exact multiple of the step."""
+        _quantise(increments, self._step, self._left)
+
+
+@compiled
+def _quantise(increments: Array, step: Array, left: Array) -> None:
+    for k in range(increments.shape[0]):
+        for c in range(step.size):
+            if step[c] > 0.0:
+                total = left[c] + increments[k, c]
+                increments[k, c] = np.rint(total / step[c]) * step[c]
+                left[c] = total - increments[k, c]
