@@ -329,7 +329,8 @@ def _sentence(text: str) -> str:
 def write_recording(path: Path | str, samples: SampleArray, meta: RecordingMeta) -> Path:
     """Write ``NAME.parquet`` and ``NAME.toml``, each whole or not at all, and return the first.
 
-    Every number reads back as it is; ``meta.columns`` has done its work and is not written. ``path`` is NAME with or without either suffix; an old pair is replaced.
+    Every number reads back as it is; ``meta.columns`` has done its work and is not written. ``path`` is NAME with or
+    without either suffix; an old pair is replaced.
 
     Raises
     ------

@@ -242,7 +242,7 @@ def read_meta(path: Path) -> RecordingMeta:
 
 
 def meta_text(meta: RecordingMeta) -> str:
-    """Return ``NAME.toml`` for data in our own columns, motions and windows as ``[[…]]`` that one can add to by hand."""
+    """Return ``NAME.toml`` for data in our own columns; motions and windows can be added to by hand."""
     document = meta.model_dump(exclude_none=True, exclude={"columns"})
     parts = []
     for section, content in document.items():

@@ -1,0 +1,100 @@
+"""One stream of bytes to batches of samples: the same path for a live line and for a replayed capture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.continuity import Continuity, Gap
+from drivers.counters import Counters
+from drivers.framing import Splitter
+from drivers.messages import Received
+from drivers.protocols.base import Frame, Protocol
+from drivers.samples import SampleArray
+
+
+@dataclass(slots=True)
+class Batch:
+    """What the line said since the last batch.
+
+    ``host_time_s[i]`` [simulated s] is when the last byte of ``samples[i]`` came. ``gaps`` name the rows before which
+    frames are missing, ``restarts`` the rows at which the block began to count anew (its device time too), ``reopened``
+    the rows that came first after the line was opened again.
+    """
+
+    samples: SampleArray
+    host_time_s: NDArray[np.float64]
+    messages: list[Received] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    restarts: list[int] = field(default_factory=list)
+    reopened: list[int] = field(default_factory=list)
+    duplicates: int = 0
+
+    def __bool__(self) -> bool:
+        """Whether it says anything."""
+        return bool(len(self.samples) or self.messages or self.duplicates)
+
+
+class StreamDecoder:
+    """Splitter, decoder and continuity of one stream."""
+
+    def __init__(
+        self, protocol: Protocol, bit_rate: float = 921600, latency_s: float = 0.1, counters: Counters | None = None
+    ) -> None:
+        self.counters = counters if counters is not None else Counters()
+        self._splitter = Splitter(protocol, bit_rate, latency_s, self.counters)
+        self._decoder = protocol.decoder()
+        self._continuity = Continuity(delay_tolerance_s=latency_s + 0.5)
+        self._frames: list[Frame] = []
+        self._reopened_at: list[int] = []  # frames ahead of which the line was opened again
+
+    def feed(self, data: bytes, host_time_s: float) -> None:
+        """Take the next bytes, whose last one came at ``host_time_s`` [simulated s]."""
+        self._frames += self._splitter.feed(data, host_time_s)
+
+    def reopened(self, host_time_s: float) -> None:
+        """Note that the line was lost and opened again: what was half received will not be completed."""
+        self._frames += self._splitter.restart(host_time_s)
+        self._reopened_at.append(len(self._frames))
+
+    def finish(self) -> None:
+        """Note that nothing more will come: whole frames behind an unfinished one are found, the rest is discarded."""
+        self._frames += self._splitter.restart(float("-inf"))
+
+    def take(self, now_s: float | None = None) -> Batch:
+        """Decode what has come; with ``now_s``, frames behind a header whose time is up as well."""
+        if now_s is not None:
+            self._frames += self._splitter.expire(now_s)
+        frames, self._frames = self._frames, []
+        decoded = self._decoder.decode(frames)
+        arrivals = np.array([frame.host_time_s for frame in frames], np.float64)
+        host_time_s = arrivals[decoded.frame_of_sample]
+        reopened = self._rows_after_reopening(decoded.frame_of_sample)
+        marks = self._continuity.follow(decoded.samples, host_time_s, reopened)
+        self._count(len(marks.keep), decoded.rejects, marks.duplicates, marks.gaps, marks.restarts)
+        return Batch(
+            decoded.samples[marks.keep],
+            host_time_s[marks.keep],
+            decoded.messages,
+            marks.gaps,
+            marks.restarts,
+            [int(np.searchsorted(marks.keep, row)) for row in reopened],
+            marks.duplicates,
+        )
+
+    def _rows_after_reopening(self, frame_of_sample: NDArray[np.intp]) -> list[int]:
+        """Return the first row behind each re-opening; one with none yet waits for the next batch."""
+        rows = {int(np.searchsorted(frame_of_sample, frame)) for frame in self._reopened_at}
+        self._reopened_at = [0] if len(frame_of_sample) in rows else []
+        return sorted(rows - {len(frame_of_sample)})
+
+    def _count(self, samples: int, rejects: int, duplicates: int, gaps: list[Gap], restarts: list[int]) -> None:
+        """Add what one batch brought."""
+        self.counters.samples += samples
+        self.counters.decode_rejects += rejects
+        self.counters.duplicates += duplicates
+        self.counters.gaps += len(gaps)
+        self.counters.frames_lost += sum(gap.frames for gap in gaps)
+        self.counters.restarts += len(restarts)
