@@ -19,6 +19,7 @@ which is exact for any spans: with gaps between them, of unequal length, far apa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,20 +49,26 @@ def integral_covariance(
     reference_s
         Instant [s] at which the random walk is zero.
     """
+    return integral_covariances([noise], spans_s, others_s, reference_s)[0]
+
+
+def integral_covariances(
+    noises: Sequence[ChannelNoise], spans_s: Array, others_s: Array | None = None, reference_s: float = 0.0
+) -> list[Array]:
+    """Return :func:`integral_covariance` of several channels, their common shapes worked out once."""
     others = spans_s if others_s is None else others_s
     a, b = spans_s[:, 0, None], spans_s[:, 1, None]
     c, d = others[None, :, 0], others[None, :, 1]
-    total = np.zeros((len(spans_s), others.shape[0]))
-    if noise.white:
-        # The spans' overlap, which is what the D form comes to, without its rounding.
-        total += noise.white**2 * np.maximum(np.minimum(b, d) - np.maximum(a, c), 0.0)
-    if noise.flicker:
-        total += noise.flicker**2 * (_flicker(d - a) + _flicker(c - b) - _flicker(c - a) - _flicker(d - b))
-    if noise.random_walk:
-        total += noise.random_walk**2 * _random_walk(a - reference_s, b - reference_s, c - reference_s, d - reference_s)
-    if noise.quantisation:
-        total += noise.quantisation**2 / 12.0 * (_same(b, d) + _same(a, c) - _same(b, c) - _same(a, d))
-    return total
+    # The spans' overlap is what the D form comes to for white noise, without its rounding.
+    shapes = {"white": np.maximum(np.minimum(b, d) - np.maximum(a, c), 0.0)}
+    if any(noise.flicker for noise in noises):
+        shapes["flicker"] = _flicker(d - a) + _flicker(c - b) - _flicker(c - a) - _flicker(d - b)
+    if any(noise.random_walk for noise in noises):
+        shapes["random_walk"] = _random_walk(a - reference_s, b - reference_s, c - reference_s, d - reference_s)
+    if any(noise.quantisation for noise in noises):
+        shapes["quantisation"] = (_same(b, d) + _same(a, c) - _same(b, c) - _same(a, d)) / 12.0
+    zero = np.zeros(np.broadcast_shapes(a.shape, c.shape))
+    return [sum((getattr(noise, name) ** 2 * shape for name, shape in shapes.items()), zero) for noise in noises]
 
 
 def _flicker(lag_s: Array) -> Array:

@@ -26,11 +26,13 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
+from inertial.alignment import Alignment
 from inertial.attitude import rotation_matrix, skew
 from inertial.documents import CHANNELS, ChannelNoise, Noise
 from inertial.earth import EARTH_RATE_RADPS, Site
 from inertial.error_model import Coefficients, Terms, true_from_readings
-from inertial.increment_covariance import integral_covariance
+from inertial.increment_covariance import integral_covariances
+from inertial.noise import identify_noise, noise_of_block
 from inertial.observability import TERMS, UNSEEN_RAD, Unseen, correlation, name_unseen, unseen_directions
 
 Array = NDArray[np.float64]
@@ -40,6 +42,7 @@ _MOST_NODES = 600
 _SMALLEST_SIGMA_RAD = 1e-9  # an angle "known exactly"; keeps its prior row finite
 _QUIETEST = (1e-7, 1e-10)  # white noise [m/s²/√Hz], [rad/s/√Hz]: no sensor is quieter, and weights need some
 _ITERATIONS = 20
+_BELIEF = "belief in the terms"
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Reference:
+class LauncherReference:
     """What the launcher says of the block's first attitude, and how sure it is; ``inf`` where it says nothing.
 
     ``C_tb`` (3, 3) body to tangent, ``azimuth_rad`` of tangent axis 1. ``level_frame``: whether a level error stays
@@ -83,6 +86,17 @@ class Reference:
     level_sigma_rad: float
     azimuth_sigma_rad: float
     level_frame: Literal["tangent", "body"] = "tangent"
+
+    @classmethod
+    def of(cls, alignment: Alignment, level_frame: Literal["tangent", "body"] = "tangent") -> LauncherReference:
+        """Return an alignment as a reference: what it took from the sensors themselves says nothing from outside."""
+        return cls(
+            alignment.C_tb,
+            alignment.azimuth_rad,
+            alignment.level_sigma_rad if alignment.level_source == "given" else math.inf,
+            alignment.azimuth_sigma_rad if alignment.azimuth_source == "given" else math.inf,
+            level_frame,
+        )
 
 
 def _flat() -> Array:
@@ -152,7 +166,7 @@ class OptimalEstimate:
     singular_values: Array
     C_tb: Array
     azimuth_rad: float
-    reference: Reference
+    reference: LauncherReference
     turns: tuple[Turn, ...]
     gain: Array
     spans_s: Array
@@ -168,6 +182,12 @@ class OptimalEstimate:
         if len(self.unbounded):
             sigma[np.max(np.abs(self.unbounded), axis=0) > 1e-9] = np.inf
         return sigma
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """Return which unknowns (n,) nothing but a belief bounds: no honest σ stands beside those."""
+        believed = np.diag(self.sources.get(_BELIEF, np.zeros_like(self.covariance)))
+        return np.asarray(np.isinf(self.sigma) | (believed > 0.5 * np.diag(self.covariance)))
 
     @property
     def correlation(self) -> Array:
@@ -192,7 +212,7 @@ class OptimalEstimate:
 def estimate(
     segments: Sequence[Segment],
     site: Site,
-    reference: Reference,
+    reference: LauncherReference,
     noise: Noise,
     coefficients: Coefficients,
     priors: Priors | None = None,
@@ -220,7 +240,7 @@ def estimate(
 def estimate_stages(
     segments: Sequence[Segment],
     site: Site,
-    reference: Reference,
+    reference: LauncherReference,
     noise: Noise,
     coefficients: Coefficients,
     priors: Priors | None = None,
@@ -232,6 +252,44 @@ def estimate_stages(
             nodes[: k + 1], node_weights(nodes[: k + 1], noise), site, reference, noise, coefficients, priors
         )
         for k in range(len(nodes))
+    ]
+
+
+def noise_of_run(segments: Sequence[Segment]) -> Noise:
+    """Identify the noise from the run itself, at the attitude it stood in longest, fit to weight that run with.
+
+    A random walk that the data do not clearly show is left out. Fitted to three minutes it often comes out large by
+    chance, and would then throw away all but the last seconds; left out by mistake it costs little.
+    """
+    segment = max(_joined(segments), key=lambda candidate: len(candidate.time_s))
+    interval = segment.interval_s[:, None]
+    readings = np.hstack([segment.dv_mps / interval, segment.dtheta_rad / interval])
+    step = float(np.median(segment.interval_s))
+    found = noise_of_block(readings[:, :3], readings[:, 3:], step)
+    for c, name in enumerate(CHANNELS):
+        channel: ChannelNoise = getattr(found, name)
+        if channel.random_walk and not identify_noise(readings[:, c], step).random_walk.seen:
+            found = found.model_copy(update={name: channel.model_copy(update={"random_walk": 0.0})})
+    return found
+
+
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    """Return the segments with those of one attitude made one, so that a run's stages are one span."""
+    groups: list[list[Segment]] = []
+    for segment in segments:
+        if groups and not segment.turns:
+            groups[-1].append(segment)
+        else:
+            groups.append([segment])
+    return [
+        Segment(
+            np.concatenate([part.time_s for part in group]),
+            np.concatenate([part.dv_mps for part in group]),
+            np.concatenate([part.dtheta_rad for part in group]),
+            np.concatenate([part.interval_s for part in group]),
+            group[0].turns,
+        )
+        for group in groups
     ]
 
 
@@ -275,17 +333,15 @@ def node_weights(nodes: Sequence[Nodes], noise: Noise) -> Weights:
     shape = (len(CHANNELS), design.shape[1])
     mean, covariance = np.empty((*shape, len(spans))), np.empty((*shape, shape[1]))
     whiten = np.empty((len(CHANNELS), len(spans), len(spans)))
-    known: dict[ChannelNoise, int] = {}
-    for c, channel in enumerate(channel_noises(noise)):
-        same = known.setdefault(channel, c)
-        if same != c:
-            mean[c], covariance[c], whiten[c] = mean[same], covariance[same], whiten[same]
-            continue
-        factor = np.linalg.cholesky(integral_covariance(channel, spans, reference_s=end))
-        whiten[c] = solve_triangular(factor, np.eye(len(spans)), lower=True)
-        rows = whiten[c] @ design
-        covariance[c] = np.linalg.inv(rows.T @ rows)
-        mean[c] = covariance[c] @ rows.T @ whiten[c]
+    channels = channel_noises(noise)
+    distinct = list(dict.fromkeys(channels))
+    for channel, nodes_covariance in zip(distinct, integral_covariances(distinct, spans, reference_s=end), strict=True):
+        alike = [c for c, other in enumerate(channels) if other == channel]
+        inverse = solve_triangular(np.linalg.cholesky(nodes_covariance), np.eye(len(spans)), lower=True)
+        rows = inverse @ design
+        whiten[alike] = inverse
+        covariance[alike] = np.linalg.inv(rows.T @ rows)
+        mean[alike] = covariance[alike] @ rows.T @ inverse
     return Weights(spans, end, design, mean, covariance, whiten)
 
 
@@ -306,7 +362,7 @@ def estimate_nodes(
     nodes: Sequence[Nodes],
     weights: Weights,
     site: Site,
-    reference: Reference,
+    reference: LauncherReference,
     noise: Noise,
     coefficients: Coefficients,
     priors: Priors | None = None,
@@ -367,7 +423,7 @@ def estimate_nodes(
     )
 
 
-def _prior_sigma(reference: Reference, priors: Priors, turns: Sequence[Turn]) -> Array:
+def _prior_sigma(reference: LauncherReference, priors: Priors, turns: Sequence[Turn]) -> Array:
     level, azimuth = reference.level_sigma_rad, reference.azimuth_sigma_rad
     angles = np.array([level, level, azimuth, *(turn.sigma_rad for turn in turns)])
     return np.concatenate([priors.f_sigma_mps2, priors.g_sigma_radps, np.maximum(angles, _SMALLEST_SIGMA_RAD)])
@@ -390,7 +446,7 @@ def _sources(by_mean: Array, by_prior: Array, finite: NDArray[np.bool_], order: 
 
 def _cause(unknown: str) -> str:
     if unknown in TERMS:
-        return "belief in the terms"
+        return _BELIEF
     return f"{unknown.partition('_')[0] if unknown.startswith('level') else unknown} reference"
 
 
@@ -428,7 +484,7 @@ def _rectification(nodes: Sequence[Nodes], coefficients: Coefficients) -> Array:
 class _Problem:
     """Truth at rest in each attitude as a function of the unknowns, and its solution."""
 
-    def __init__(self, site: Site, reference: Reference, turns: Sequence[tuple[Turn, ...]]) -> None:
+    def __init__(self, site: Site, reference: LauncherReference, turns: Sequence[tuple[Turn, ...]]) -> None:
         self.site = site
         self.reference = reference
         self.steps = turns
