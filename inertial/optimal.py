@@ -27,7 +27,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
 from inertial.alignment import Alignment
-from inertial.attitude import rotation_matrix, skew
+from inertial.attitude import rotation_matrix, rotation_vector, skew
 from inertial.documents import CHANNELS, ChannelNoise, Noise
 from inertial.earth import EARTH_RATE_RADPS, Site
 from inertial.error_model import Coefficients, Terms, true_from_readings
@@ -151,7 +151,8 @@ class OptimalEstimate:
     and ``turn_1`` … [rad]. ``value``, ``covariance`` hold what is bounded; ``unbounded`` (u, n) spans what nothing
     bounds (empty as a rule). ``sources`` takes the covariance apart by independent cause. ``gain`` (n, 6, m) makes the
     error from the noise integrated over ``spans_s`` (m, 2), for use where later noise hangs on earlier.
-    ``C_tb``, ``azimuth_rad``: the reference with the estimated errors taken out, of every attitude in turn.
+    ``C_tb`` (k, 3, 3), ``azimuth_rad``: the reference with the estimated errors taken out, of every attitude in turn;
+    ``attitude_slope`` (k, 3, n): rotation of each in the tangent frame by the unknowns.
     ``fit`` is the reduced χ² of each sensor's nodes about one constant per attitude, on ``fit_degrees`` degrees of
     freedom: far from 1, the block moved or its noise is not what was said.
     """
@@ -166,6 +167,7 @@ class OptimalEstimate:
     singular_values: Array
     C_tb: Array
     azimuth_rad: float
+    attitude_slope: Array
     reference: LauncherReference
     turns: tuple[Turn, ...]
     gain: Array
@@ -412,6 +414,7 @@ def estimate_nodes(
         singular_values=singular,
         C_tb=attitudes,
         azimuth_rad=azimuth,
+        attitude_slope=problem.attitude_slope(value),
         reference=reference,
         turns=problem.turns,
         gain=np.einsum("nck,ckm->ncm", to_mean, weights.mean),
@@ -503,6 +506,17 @@ class _Problem:
         if self.reference.level_frame == "tangent":
             return np.stack([rotation_matrix(tilt) @ C for C in nominal])
         return np.stack([C @ rotation_matrix(tilt) for C in nominal])
+
+    def attitude_slope(self, value: Array) -> Array:
+        """Return d(rotation vector of C_tb in the tangent frame)/d(unknowns) (k, 3, n), by differences."""
+        step = 1e-5
+        slope = np.zeros((len(self.steps) + 1, 3, len(value)))
+        for j in (6, 7, *range(9, len(value))):
+            change = np.zeros(len(value))
+            change[j] = step
+            turned = self.attitudes(value + change) @ self.attitudes(value - change).transpose(0, 2, 1)
+            slope[:, :, j] = rotation_vector(turned) / (2.0 * step)
+        return slope
 
     def _tilt(self, value: Array) -> Array:
         """Return the level error as a rotation vector (3,) in the frame it stays in."""
