@@ -40,6 +40,7 @@ HARMLESS_RATE_RADPS = math.radians(0.01)
 _NOISE_MULTIPLE = 4.0  # range of a Brownian bridge: P(> 4 σ√T) = 2(4·4² − 1)e^(−2·4²) = 2e-12 (Kuiper 1960)
 _BIAS_MULTIPLE = 150.0  # bias against 1 s of white noise: no grade of gyro from laser to MEMS has more
 _RATE_AFTER_S = 1.0
+_LEAST_NOISE_S = 20.0  # sway that looks like noise comes in bursts: a short stretch may have it all
 _MEMORY_HOPS = round(MEMORY_S / HOP_S)
 _HOP_SAMPLES = 1024  # a faster block is judged more often
 _LEARNING_S = 2.0
@@ -249,6 +250,7 @@ def _judge(memory: Array, first: int, last: int, noise: Array, limits: Array) ->
     time = 0.0
     for h in range(first, last):
         time += memory[h, 18]
+    grown = max(time, _LEAST_NOISE_S)
     worst, channel, value, allowed, square = 1.0, -1, 0.0, 0.0, 0.0
     for c in range(6):
         mean = 0.0
@@ -263,7 +265,7 @@ def _judge(memory: Array, first: int, last: int, noise: Array, limits: Array) ->
             lowest = min(lowest, min(at, after) + memory[h, 6 + c])
             highest = max(highest, max(at, after) + memory[h, 12 + c])
             at = after
-        own = noise[c, 0] ** 2 * time + (0.3 * noise[c, 1] * time) ** 2 + noise[c, 2] ** 2
+        own = noise[c, 0] ** 2 * grown + (0.3 * noise[c, 1] * grown) ** 2 + noise[c, 2] ** 2
         limit = min(limits[6 + c], limits[c] + _NOISE_MULTIPLE * math.sqrt(own))
         if highest - lowest > worst * limit:
             worst, channel, value, allowed = (highest - lowest) / limit, c, highest - lowest, limit
