@@ -163,6 +163,11 @@ class Store:
         with self._sessions() as session:
             return [_record(run) for run in session.scalars(query)]
 
+    def end_run(self, run_id: str) -> None:
+        """Close a run that the next one takes over from; its state stays as it was."""
+        with self._sessions.begin() as session:
+            session.execute(update(Run).where(Run.id == run_id, Run.ended_utc.is_(None)).values(ended_utc=utc_now()))
+
     def note_block(self, run_id: str, facts: dict[str, Any]) -> None:
         """Add what the block told of itself (identity, terms it held before) to the run."""
         with self._sessions.begin() as session:

@@ -1,0 +1,86 @@
+"""Every error as RFC 9457 ``application/problem+json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
+
+MEDIA_TYPE = "application/problem+json"
+
+
+class Problem(BaseModel):
+    """What went wrong and what can be done (RFC 9457)."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str
+    allowed: list[str] | None = None
+    state: str | None = None
+    errors: list[dict[str, Any]] | None = None
+
+
+class ProblemError(Exception):
+    """An error that an endpoint answers with."""
+
+    def __init__(
+        self, status: int, kind: str, detail: str, headers: Mapping[str, str] | None = None, **facts: Any
+    ) -> None:
+        super().__init__(detail)
+        self.status, self.kind, self.detail, self.facts, self.headers = status, kind, detail, facts, headers
+
+
+def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI entries of an endpoint's errors."""
+    return {
+        status: {
+            "description": HTTPStatus(status).phrase,
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+        for status in statuses
+    }
+
+
+def answer(
+    status: int, detail: str, kind: str = "about:blank", headers: Mapping[str, str] | None = None, **facts: Any
+) -> JSONResponse:
+    """Return one problem as a response."""
+    problem = {"type": kind, "title": HTTPStatus(status).phrase, "status": status, "detail": detail, **facts}
+    return JSONResponse(problem, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Make the application answer every error as a problem."""
+
+    @app.exception_handler(ProblemError)
+    async def known(_request: Request, error: ProblemError) -> JSONResponse:
+        return answer(error.status, error.detail, f"urn:inertrim:problem:{error.kind}", error.headers, **error.facts)
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
+        detail = {
+            404: f"There is nothing at {request.url.path}.",
+            405: f"{request.method} is not possible at {request.url.path}.",
+        }.get(error.status_code, str(error.detail))
+        return answer(error.status_code, detail, headers=error.headers)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
+        errors = [
+            {"place": ".".join(str(part) for part in one["loc"]), "message": one["msg"]} for one in error.errors()
+        ]
+        first = errors[0] if errors else {"place": "request", "message": "not valid"}
+        return answer(
+            422, f"{first['place']}: {first['message']}", "urn:inertrim:problem:invalid-request", errors=errors
+        )
+
+    @app.exception_handler(Exception)
+    async def unexpected(_request: Request, _error: Exception) -> JSONResponse:
+        return answer(500, "The service met a fault of its own; its log tells more.")

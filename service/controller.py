@@ -1,0 +1,346 @@
+"""The running service behind the API: the sequencer under one lock, fed by acquisition, its outcomes recorded."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import queue
+import threading
+import time
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import structlog
+
+from drivers.timebase import Timebase
+from inertial.documents import BlockModel, Noise, parse_document
+from service.acquisition import Acquisition, Line
+from service.config import ReferenceSettings, SequenceSettings, Settings
+from service.events import EventHub
+from service.motion_watch import MotionWatch
+from service.recovery import recover
+from service.run_folder import RunFolder
+from service.sequencer import LineView, NotAllowed, Reply, Sequencer
+from service.states import Name
+from service.store import RunRecord, Store, TransitionRecord
+from service.warm_up import warm_up
+from service.worker import RunPlan, Worker
+
+log = structlog.get_logger()
+
+SNAPSHOT_EVERY_S = 0.05
+PROGRESS_EVERY_S = 0.5
+HOST_PATIENCE_S = 5.0
+DEAD_AFTER_S = 2.0
+"""Real seconds without a sign of life of the acquisition thread after which nothing it said counts."""
+
+
+class NotConfigured(Exception):
+    """A run cannot start because a setting is missing; the text says which."""
+
+
+class UnknownRun(Exception):
+    """There is no such run."""
+
+
+class KeyReused(Exception):
+    """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """A status as it is sent: bytes, entity tag, facts, and when [monotonic s] it was made."""
+
+    body: bytes
+    etag: str
+    facts: dict[str, Any]
+    made_s: float
+
+
+def publish(facts: dict[str, Any]) -> Published:
+    """Return a status ready to be sent."""
+    body = json.dumps(facts, separators=(",", ":"), allow_nan=False).encode()
+    return Published(body, f'"{hashlib.blake2b(body, digest_size=12).hexdigest()}"', facts, time.monotonic())
+
+
+class Controller:
+    """Everything that runs: store, line, sequencer, worker, events.
+
+    Methods may be called from any thread. Commands are serialised; none of them waits for the block.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
+        self.store = Store(settings.store.path)
+        self.hub = EventHub()
+        left = self.store.last_transition()
+        self.interrupted = self.store.abort_interrupted()
+        at, reason, run_id = _begin_at(left, self.interrupted)
+        self._sequencer = Sequencer(
+            _patience(settings.sequence, self.timebase),
+            MotionWatch(_noise(settings)),
+            at=at,
+            reason=reason,
+            run_id=run_id,
+        )
+        self._lock = threading.RLock()
+        self._commands = threading.Lock()
+        self._records: queue.SimpleQueue[TransitionRecord | None] = queue.SimpleQueue()
+        self._recorder = threading.Thread(target=self._record, name="recorder", daemon=True)
+        self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
+        self._worker = Worker(settings, self.store, self.line, self._on_reply)
+        self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick)
+        self._progress_s = 0.0
+        self._published = publish(self._facts())
+
+    # ------------------------------------------------------------------ life
+
+    def start(self) -> None:
+        """Open the line and begin to watch."""
+        warm_up()
+        self._recorder.start()
+        self._worker.start()
+        for run_id in self.interrupted:
+            self._worker.submit(partial(recover, RunFolder(self.settings.store.runs, run_id), self.settings))
+        self._acquisition.start()
+
+    def stop(self) -> None:
+        """End a run in hand as ABORTED (``service_stopped``), then everything, losing nothing that was taken in."""
+        with self._commands, self._lock:
+            if "abort" in self._sequencer.allowed():
+                self._sequencer.abort(self.timebase.now_s(), "service_stopped", "the service was stopped")
+            self._dispatch()
+        self._acquisition.stop()
+        self._worker.stop()
+        self._records.put(None)
+        self._recorder.join(10.0)
+        self.store.close()
+
+    # ------------------------------------------------------------------ what is read
+
+    def status(self) -> Published:
+        """Return the last status; one that is too old to be true says so and is not fit."""
+        published = self._published
+        if time.monotonic() - published.made_s > DEAD_AFTER_S:
+            reasons = ["the acquisition thread does not answer", *published.facts["reasons"]]
+            return publish({**published.facts, "fit": False, "reasons": reasons, "link": "STALE"})
+        return published
+
+    def health(self) -> list[str]:
+        """Return why the service is not alive; nothing when it is."""
+        dead_s = time.monotonic() - self._acquisition.beat_s
+        return [f"the acquisition thread is silent for {dead_s:.1f} s"] if dead_s > DEAD_AFTER_S else []
+
+    def readiness(self) -> list[str]:
+        """Return why the service cannot take a run; nothing when it can."""
+        missing = self._missing()
+        try:
+            self.store.check()
+        except Exception as error:
+            missing = [*missing, f"the store cannot be read: {error}"]
+        return [*self.health(), *missing]
+
+    def terms(self, run_id: str) -> dict[str, Any]:
+        """Return the terms that the stages of the run in hand have given so far."""
+        with self._lock:
+            run = self._sequencer.run
+            if run is None or run.run_id != run_id:
+                return {}
+            return {name: terms.model_dump(mode="json") for name, terms in run.terms.items()}
+
+    def run(self, run_id: str) -> RunRecord:
+        """Return one run or raise :class:`UnknownRun`."""
+        record = self.store.run(run_id)
+        if record is None:
+            raise UnknownRun(run_id)
+        return record
+
+    def folder(self, run_id: str) -> RunFolder:
+        """Return the folder of a run that the store knows; no other name reaches the file system."""
+        return RunFolder(self.settings.store.runs, self.run(run_id).id)
+
+    # ------------------------------------------------------------------ commands
+
+    def start_run(self, request: dict[str, Any], who: str, key: str | None = None) -> tuple[str, bool]:
+        """Start a run, or return the one that ``key`` started before, and whether it is new.
+
+        Raises
+        ------
+        NotAllowed, NotConfigured, KeyReused
+            Recorded in the audit as refused.
+        """
+        with self._commands:
+            try:
+                run_id, new = self._start_run(request, who, key)
+            except (NotAllowed, NotConfigured, KeyReused) as error:
+                self.store.audit(who, "start", None, "refused", str(error))
+                raise
+            self.store.audit(who, "start", run_id, "accepted", "" if new else "the same key again: no new run")
+            return run_id, new
+
+    def _start_run(self, request: dict[str, Any], who: str, key: str | None) -> tuple[str, bool]:
+        before = None
+        known = self.store.run_of_key(key) if key is not None else None
+        if known is None:
+            if missing := self._missing():
+                raise NotConfigured("; ".join(missing))
+            with self._lock:
+                self._sequencer.check("start")
+                before = self._sequencer.run
+        try:
+            record, new = self.store.create_run(request, str(request["method"]), who, key)
+        except KeyError:
+            raise KeyReused(f"the key {key!r} belongs to run {known}, which was asked for something else") from None
+        if not new:
+            return record.id, False
+        if before is not None:
+            self.store.end_run(before.run_id)
+        folder = RunFolder(self.settings.store.runs, record.id)
+        folder.make(self.settings.block)
+        self._worker.plan(record.id, RunPlan(record.method, self._reference(request), folder))
+        if self.line is not None:
+            self.line.capture_to(folder.capture)
+        with self._lock:
+            self._sequencer.start(record.id, self.timebase.now_s())
+            self._dispatch()
+        return record.id, True
+
+    def abort_run(self, run_id: str, who: str, why: str = "") -> None:
+        """Abort the run in hand.
+
+        Raises
+        ------
+        UnknownRun, NotAllowed
+            The latter recorded in the audit as refused.
+        """
+        self._command("abort", run_id, who, why)
+
+    def acknowledge_run(self, run_id: str, who: str, why: str = "") -> None:
+        """Take note of a FAULT of the last run; as :meth:`abort_run`."""
+        self._command("acknowledge", run_id, who, why)
+
+    def _command(self, command: str, run_id: str, who: str, why: str) -> None:
+        self.run(run_id)
+        detail = f"by {who}" + (f": {why}" if why else "")
+        with self._commands:
+            try:
+                with self._lock:
+                    self._check_in_hand(command, run_id)
+                    if command == "abort":
+                        self._sequencer.abort(self.timebase.now_s(), "operator", detail)
+                    else:
+                        self._sequencer.acknowledge(self.timebase.now_s(), detail)
+                    self._dispatch()
+            except NotAllowed as error:
+                self.store.audit(who, command, run_id, "refused", str(error))
+                raise
+            self.store.audit(who, command, run_id, "accepted", why)
+
+    def _check_in_hand(self, command: str, run_id: str) -> None:
+        run = self._sequencer.run
+        if run is None or run.run_id != run_id:
+            raise NotAllowed(command, self._sequencer.state, "this run is over", self._allowed())
+        self._sequencer.check(command)
+
+    def _reference(self, request: dict[str, Any]) -> ReferenceSettings:
+        azimuth_deg = request.get("azimuth_deg")
+        reference = self.settings.reference
+        return reference if azimuth_deg is None else reference.model_copy(update={"azimuth_deg": azimuth_deg})
+
+    def _missing(self) -> list[str]:
+        """Settings without which no run can start."""
+        missing = []
+        if self.settings.link.url is None:
+            missing.append("no line is configured: set [link] url or give --link")
+        if self.settings.site is None:
+            missing.append("no site is configured: set [site] latitude_deg")
+        return missing
+
+    # ------------------------------------------------------------------ what comes in
+
+    def _on_batch(self, samples: Any, restart: bool) -> None:
+        with self._lock:
+            self._sequencer.on_batch(samples, self.timebase.now_s(), restart)
+
+    def _on_idle(self) -> None:
+        with self._lock:
+            self._sequencer.on_idle(self.timebase.now_s())
+
+    def _on_tick(self, line: LineView) -> None:
+        with self._lock:
+            self._sequencer.on_tick(self.timebase.now_s(), line)
+            self._dispatch()
+
+    def _on_reply(self, reply: Reply) -> None:
+        with self._lock:
+            self._sequencer.on_reply(reply)
+            self._dispatch()
+
+    def _dispatch(self) -> None:
+        """Send on what the sequencer has left; the caller holds the lock, nothing here waits."""
+        sequencer = self._sequencer
+        changed = bool(sequencer.transitions)
+        while sequencer.orders:
+            self._worker.submit(sequencer.orders.popleft())
+        now_s = time.monotonic()
+        if changed or now_s - self._published.made_s > SNAPSHOT_EVERY_S:
+            self._published = publish(self._facts())
+        while sequencer.transitions:
+            record = sequencer.transitions.popleft()
+            log.info("state", **asdict(record))
+            self._records.put(record)
+            self.hub.publish("state", {**asdict(record), "status": self._published.facts})
+            if record.target in (Name.READY, Name.FAULT, Name.ABORTED) and self.line is not None:
+                self._worker.submit(self.line.capture_end)
+        if now_s - self._progress_s > PROGRESS_EVERY_S and len(self.hub):
+            self._progress_s = now_s
+            self.hub.publish("progress", self._published.facts)
+
+    def _facts(self) -> dict[str, Any]:
+        facts = self._sequencer.snapshot()
+        facts["allowed"] = self._allowed()
+        missing = self._missing()
+        if missing and self._sequencer.state is Name.OFFLINE:
+            facts["reasons"] = missing
+        return facts
+
+    def _allowed(self) -> list[str]:
+        allowed = self._sequencer.allowed()
+        return [command for command in allowed if command != "start"] if self._missing() else allowed
+
+    def _record(self) -> None:
+        """Write changes of state to the store, several at once when they come fast."""
+        while (record := self._records.get()) is not None:
+            try:
+                self.store.add_transitions([record])
+            except Exception:
+                log.exception("store", transition=record.target)
+
+
+def _begin_at(left: dict[str, Any] | None, interrupted: list[str]) -> tuple[Name, str, str | None]:
+    """Return the state to begin in, after what the process before left: a FAULT stays until it is acknowledged."""
+    if interrupted:
+        return Name.ABORTED, "service_stopped", interrupted[-1]
+    if left is not None and left["target"] == Name.FAULT:
+        return Name.FAULT, left["reason"], left["run_id"]
+    return Name.OFFLINE, "service_started", None
+
+
+def _noise(settings: Settings) -> Noise | None:
+    """Return the block's noise where its model tells it."""
+    if settings.block.model is None:
+        return None
+    model = parse_document(BlockModel, settings.block.model.read_bytes(), str(settings.block.model))
+    return None if model.noise.free else model.noise
+
+
+def _patience(settings: SequenceSettings, timebase: Timebase) -> SequenceSettings:
+    """Return the settings with time-outs no shorter than a host needs for a few commands, however fast time runs."""
+    return settings.model_copy(
+        update={
+            "power_up_timeout_s": timebase.limit_s(settings.power_up_timeout_s, HOST_PATIENCE_S),
+            "self_test_timeout_s": timebase.limit_s(settings.self_test_timeout_s, HOST_PATIENCE_S),
+        }
+    )

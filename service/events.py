@@ -1,0 +1,77 @@
+"""One stream of events to many clients; a slow client loses its own oldest events and hurts nobody else."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+QUEUE_EVENTS = 256
+HEARTBEAT_S = 10.0
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event: a number that increases, its kind and its facts."""
+
+    number: int
+    kind: str
+    data: dict[str, Any]
+
+
+class _Client:
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.loop = loop
+        self.waiting: deque[Event] = deque(maxlen=QUEUE_EVENTS)
+        self.ready = asyncio.Event()
+        self.dropped = 0
+
+    def put(self, event: Event) -> None:
+        """Runs in the client's loop."""
+        self.dropped += len(self.waiting) == QUEUE_EVENTS
+        self.waiting.append(event)
+        self.ready.set()
+
+
+class EventHub:
+    """Publishes from any thread; each subscriber reads in its own event loop."""
+
+    def __init__(self) -> None:
+        self._numbers = count(1)
+        self._clients: set[_Client] = set()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._clients)
+
+    def publish(self, kind: str, data: dict[str, Any]) -> None:
+        """Give an event to every subscriber; never waits for one."""
+        with self._lock:
+            clients = list(self._clients)
+            event = Event(next(self._numbers), kind, data)
+        for client in clients:
+            with suppress(RuntimeError):  # its loop has closed
+                client.loop.call_soon_threadsafe(client.put, event)
+
+    async def subscribe(self, heartbeat_s: float = HEARTBEAT_S) -> AsyncIterator[Event]:
+        """Yield events as they come, and a ``heartbeat`` (with how many were dropped) when none came for a while."""
+        client = _Client(asyncio.get_running_loop())
+        with self._lock:
+            self._clients.add(client)
+        try:
+            while True:
+                try:
+                    await asyncio.wait_for(client.ready.wait(), heartbeat_s)
+                except TimeoutError:
+                    yield Event(0, "heartbeat", {"dropped": client.dropped})
+                client.ready.clear()
+                while client.waiting:
+                    yield client.waiting.popleft()
+        finally:
+            with self._lock:
+                self._clients.discard(client)
