@@ -18,10 +18,8 @@ from inertial.alignment import Alignment, coarse_alignment
 from inertial.attitude import roll_pitch_heading
 from inertial.compensation import ChainResult, paper_chain, paper_stage
 from inertial.documents import (
-    CHANNELS,
     BlockModel,
     Calibration,
-    ChannelNoise,
     Combination,
     Noise,
     Result,
@@ -32,18 +30,16 @@ from inertial.documents import (
 )
 from inertial.error_model import Terms
 from inertial.increments import Increments
-from inertial.noise import noise_of_block
 from inertial.verification import Verification, verify
+from service.block_noise import audible, noise_of_span
 from service.errors import RefusedInput
 from service.physical import Physical
-from service.still_spans import movement, still_spans
+from service.still_spans import described_rest, movement, noise_to_judge_by, still_spans
 from service.verdict import SIGNIFICANT_SIGMA, Window, judge
-from service.windows import STAGES, automatic_windows, recorded_windows
+from service.windows import SHORTEST_S, STAGES, automatic_windows, recorded_windows
 
 METHODS = ("paper",)
 ORDER = ["f_x", "f_y", "f_z", "g_x", "g_y", "g_z"]
-QUIETEST = {"accel": 1e-7, "gyro": 1e-10}
-"""White noise [m/s²/√Hz], [rad/s/√Hz] that no sensor is below; keeps the covariance of a noise-free file regular."""
 
 
 def compensate(
@@ -89,7 +85,10 @@ def compensate(
         verification = verify(spans["verify"], chain, physical.site, physical.coefficients, noise)
     except ValueError as error:
         raise RefusedInput(physical.name, f"{error}.", "Check its calibration, units and site.") from None
-    checked = {window.kind: _checked(physical, window, spans[window.kind]) for window in windows}
+    quiet = noise_to_judge_by(physical, windows[0].start_s, windows[-1].end_s)
+    checked: dict[str, Window] = {
+        window.kind: _checked(physical, window, spans[window.kind], quiet) for window in windows
+    }
     judgement = judge(checked, chain, verification)
     return Result(
         software=f"inertrim {version('inertrim')}",
@@ -128,7 +127,8 @@ def partial(recording: Recording, windows: Sequence[WindowRecord], *, method: st
     by_kind = {window.kind: window for window in windows}
     first = by_kind["align"]
     alignment = _align(physical, first, physical.span(first.start_s, first.end_s), Noise())
-    terms, found = Terms.zero(), {}
+    terms = Terms.zero()
+    found: dict[str, StageTerms] = {}
     for kind in STAGES:
         if kind in by_kind:
             span = physical.span(by_kind[kind].start_s, by_kind[kind].end_s)
@@ -143,7 +143,8 @@ def noise_at_rest(recording: Recording) -> Noise:
     spans = still_spans(physical)
     if not spans:
         raise RefusedInput(physical.name, "it is at rest nowhere.", "Give a recording of the block standing still.")
-    return _noise_of_span(physical, *max(spans, key=lambda span: span[1] - span[0]))
+    longest = max(spans, key=lambda span: span[1] - span[0])
+    return noise_of_span(physical.span(*longest), physical.name)
 
 
 def _model_of(recording: Recording) -> BlockModel | None:
@@ -152,41 +153,29 @@ def _model_of(recording: Recording) -> BlockModel | None:
 
 
 def _windows(physical: Physical, start_s: float | None, end_s: float | None) -> list[WindowRecord]:
+    """Return the windows to use: the recording's own, else chosen where the block stands still.
+
+    Where it stands still for too short, they are laid where its description says that it rests: the check of each
+    window then says how it moved.
+    """
     recorded = physical.recording.meta.window
     if recorded and start_s is None and end_s is None:
         windows = [WindowRecord(kind=w.kind, start_s=w.start_s, end_s=w.end_s) for w in recorded]
         return recorded_windows(windows, str(physical.recording.meta_path))
-    low = physical.start_s if start_s is None else start_s
-    high = physical.end_s if end_s is None else end_s
-    return automatic_windows(still_spans(physical, low, high), physical.name)
+    low = max(physical.start_s, -math.inf if start_s is None else start_s)
+    high = min(physical.end_s, math.inf if end_s is None else end_s)
+    still = still_spans(physical, low, high)
+    if any(end - begin >= SHORTEST_S for begin, end in still):
+        return automatic_windows(still, physical.name)
+    return automatic_windows(described_rest(physical, low, high), physical.name)
 
 
 def _noise(physical: Physical, windows: Sequence[WindowRecord], model: BlockModel | None) -> tuple[Noise, str]:
     """Return the noise that the covariance is made with, and where it is from."""
     if model is not None and not model.noise.free and model.noise != Noise():
-        return _audible(model.noise), "block model"
+        return audible(model.noise), "block model"
     longest = max(_contiguous(windows), key=lambda span: span[1] - span[0])
-    return _noise_of_span(physical, *longest), "these data"
-
-
-def _noise_of_span(physical: Physical, start_s: float, end_s: float) -> Noise:
-    span = physical.span(start_s, end_s)
-    try:
-        return _audible(noise_of_block(*span.readings(), float(np.median(span.interval_s))))
-    except ValueError as error:
-        raise RefusedInput(
-            physical.name, f"{error}.", "Record for longer, or give the noise by a block model."
-        ) from None
-
-
-def _audible(noise: Noise) -> Noise:
-    """Return the noise with nothing below what any sensor has."""
-    channels: dict[str, ChannelNoise] = {name: getattr(noise, name) for name in CHANNELS}
-    raised = {
-        name: channel.model_copy(update={"white": max(channel.white, QUIETEST[name.partition("_")[0]])})
-        for name, channel in channels.items()
-    }
-    return noise.model_copy(update=raised)
+    return noise_of_span(physical.span(*longest), physical.name), "these data"
 
 
 def _contiguous(windows: Sequence[WindowRecord]) -> list[tuple[float, float]]:
@@ -205,9 +194,9 @@ def _align(physical: Physical, window: WindowRecord, span: Increments, noise: No
     return coarse_alignment(span, physical.coefficients, physical.site, reference, noise)
 
 
-def _checked(physical: Physical, window: WindowRecord, span: Increments) -> Window:
+def _checked(physical: Physical, window: WindowRecord, span: Increments, quiet: Noise) -> Window:
     samples = physical.recording.samples[physical.rows(window.start_s, window.end_s)]
-    return Window(span, samples, movement(physical, window.start_s, window.end_s))
+    return Window(span, samples, movement(physical, quiet, window.start_s, window.end_s))
 
 
 def _document(terms: Terms) -> StageTerms:

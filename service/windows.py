@@ -12,8 +12,8 @@ Kind = Literal["align", "stage_1", "stage_2", "stage_3", "verify"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 STAGES: tuple[Kind, ...] = ("stage_1", "stage_2", "stage_3")
 NOMINAL_S: dict[Kind, float] = {"align": 30.0, "stage_1": 60.0, "stage_2": 60.0, "stage_3": 60.0, "verify": 60.0}
-SHORTEST_SHARE = 1 / 3
-"""Below a third of the nominal times (10 s to align, 20 s a stage) noise alone exceeds what a run is for."""
+SHORTEST_S = 90.0
+"""Below a third of the nominal 270 s (10 s to align, 20 s a stage) noise alone exceeds what a run is for."""
 
 Span = tuple[float, float]
 
@@ -32,21 +32,25 @@ def automatic_windows(spans: Sequence[Span], place: str) -> list[WindowRecord]:
     nominal = sum(NOMINAL_S.values())
     if not spans:
         raise RefusedInput(place, "no part of it is at rest by its [[motion]].", "Record the block standing still.")
-    span = next((span for span in spans if span[1] - span[0] >= nominal), max(spans, key=lambda s: s[1] - s[0]))
-    share = min(1.0, (span[1] - span[0]) / nominal)
-    if share < SHORTEST_SHARE:
+    span = next((span for span in spans if span[1] - span[0] >= nominal), max(spans, key=_length))
+    if _length(span) < SHORTEST_S:
         raise RefusedInput(
             place,
-            f"the longest still span lasts {span[1] - span[0]:.1f} s; compensation takes {nominal:.0f} s, and not "
-            f"less than {nominal * SHORTEST_SHARE:.0f} s.",
+            f"the longest still span lasts {_length(span):.1f} s; compensation takes {nominal:.0f} s, not less "
+            f"than {SHORTEST_S:.0f} s.",
             "Record the block standing still for longer, or name another span by --start and --end.",
         )
+    share = min(1.0, _length(span) / nominal)
     windows, start = [], span[0]
     for kind in KINDS:
         length = NOMINAL_S[kind] if share == 1.0 else float(int(NOMINAL_S[kind] * share))
         windows.append(WindowRecord(kind=kind, start_s=start, end_s=start + length))
         start += length
     return windows
+
+
+def _length(span: Span) -> float:
+    return span[1] - span[0]
 
 
 def recorded_windows(windows: Sequence[WindowRecord], place: str) -> list[WindowRecord]:

@@ -1,0 +1,114 @@
+"""The ``inertrim`` command: one place that turns every failure into one clear line and an exit code.
+
+Exit codes: 0 done, 1 done with a negative verdict, 2 input refused, 70 a fault of the program itself, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands import model
+from service.commands.capture import capture
+from service.commands.compensate import compensate
+from service.commands.demo import demo
+from service.commands.navigate import navigate
+from service.commands.replay import replay
+from service.commands.report import report
+from service.commands.serve import serve
+from service.commands.simulate import simulate
+from service.errors import RefusedInput
+
+REFUSED = 2
+PROGRAM_FAULT = 70
+USER_ERRORS = (
+    ("drivers.recording", "RecordingError"),
+    ("drivers.capture", "CaptureError"),
+    ("drivers.commands", "CommandError"),
+    ("drivers.link", "LinkError"),
+    ("drivers.protocols", "ProtocolError"),
+    ("inertial.documents", "DocumentError"),
+    ("simulators.scenarios", "ScenarioError"),
+    ("service.config", "ConfigError"),
+)
+
+app = typer.Typer(
+    name="inertrim",
+    help="Trim a strapdown inertial navigation block on its launcher by gravity and Earth rate, and prove it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (demo, serve, simulate, capture, replay, compensate, navigate, report):
+    app.command()(command)
+app.add_typer(model.app, name="model")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"inertrim {version('inertrim')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an unexpected error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Take what holds for every command."""
+    del version
+    _wanted["traceback"] = debug
+
+
+_wanted = {"traceback": False}
+
+
+def main() -> None:
+    """Run the command line; the console script ``inertrim``."""
+    try:
+        app(prog_name="inertrim")
+    except Exception as error:
+        sys.exit(explain(error))
+
+
+def explain(error: Exception) -> int:
+    """Print one line about a failure to standard error and return the exit code."""
+    if _wanted["traceback"]:
+        traceback.print_exception(error)
+    if isinstance(error, RefusedInput) or _is_user_error(error):
+        print(f"inertrim: {_one_line(error)}", file=sys.stderr)
+        return REFUSED
+    if isinstance(error, OSError) and error.filename is not None:
+        print(f"inertrim: {error.filename}: {error.strerror}. Check the path and its permissions.", file=sys.stderr)
+        return REFUSED
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(frame.filename).name}:{frame.lineno}"
+    print(
+        f"inertrim: internal error at {place}: {type(error).__name__}: {_one_line(error)} "
+        f"(run `inertrim --debug …` for the traceback)",
+        file=sys.stderr,
+    )
+    return PROGRAM_FAULT
+
+
+def _is_user_error(error: Exception) -> bool:
+    """Tell errors that name a user's input; a class whose module was never loaded cannot have been raised."""
+    kinds = [getattr(sys.modules.get(module), name, None) for module, name in USER_ERRORS]
+    return isinstance(error, tuple(kind for kind in kinds if kind is not None))
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    main()

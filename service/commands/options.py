@@ -1,0 +1,69 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.errors import RefusedInput
+
+RecordingArgument = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="NAME, NAME.parquet or NAME.csv, with NAME.toml beside it.")
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the same facts as JSON ('-': standard output).")
+]
+StartOption = Annotated[
+    float | None, typer.Option("--start", metavar="S", help="Use the recording from this device time [s] on.")
+]
+EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Use the recording up to this time [s].")]
+SpeedOption = Annotated[
+    float, typer.Option("--speed", metavar="X", min=0.01, max=1000.0, help="Simulated seconds per real second.")
+]
+EpochOption = Annotated[
+    float | None,
+    typer.Option(
+        "--epoch", metavar="S", help="Clock value (CLOCK_MONOTONIC) at simulated time 0, shared by processes."
+    ),
+]
+ProtocolOption = Annotated[str, typer.Option("--protocol", metavar="P", help="Frame layout, by name.")]
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all; '-' is standard output."""
+    if str(path) == "-":
+        typer.echo(text, nl=False)
+        return
+    if not path.parent.is_dir():
+        raise RefusedInput(str(path), f"the folder {path.parent} does not exist.", "Make it, or name another.")
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def write_json(path: Path | None, facts: Any) -> None:
+    """Write ``facts`` as JSON when a path was asked for."""
+    if path is not None:
+        write_text(path, json.dumps(facts, indent=2, allow_nan=False) + "\n")
+
+
+def check_span(start_s: float | None, end_s: float | None) -> None:
+    """Refuse a span that is not one."""
+    for name, value in (("--start", start_s), ("--end", end_s)):
+        if value is not None and not math.isfinite(value):
+            raise RefusedInput(name, f"{value} is not a time.", "Give seconds of device time.")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise RefusedInput("--end", f"{end_s} s is not after --start {start_s} s.", "Give a later end.")
+
+
+def read_document(kind: Any, path: Path | None) -> Any:
+    """Read a document of one kind from a file, or return None where no file is named."""
+    if path is None:
+        return None
+    from inertial.documents import parse_document
+
+    return parse_document(kind, path.read_bytes(), str(path))
