@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
 from drivers.samples import SampleArray, Status, empty_samples
 from inertial.documents import CHANNELS, BlockModel, ChannelNoise, EffectEntry, Noise
-from inertial.error_model import Coefficients, Terms, readings_from_true
+from inertial.error_model import Coefficients, readings_from_true
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, Stage, Step, values_of
 from simulators.motion import Setup, Trajectory, Turn
@@ -94,6 +94,7 @@ class SimulatedBlock:
         for entry in (*model.effects, *effects):
             self.add_effect(entry)
         self._trajectory = Trajectory(self.true_setup, seed)
+        readings_from_true(np.zeros((1, 3)), np.zeros((1, 3)), self._coefficients)  # refuse one without inverse now
 
     @property
     def time_s(self) -> float:
@@ -141,7 +142,7 @@ class SimulatedBlock:
     def generate(self, count: int) -> SampleArray:
         """Return the next ``count`` samples, with three temperatures."""
         seen = self._circumstances(count)
-        accel, gyro = readings_from_true(seen.accel_mps2, seen.gyro_radps, self._coefficients, Terms.zero())
+        accel, gyro = readings_from_true(seen.accel_mps2, seen.gyro_radps, self._coefficients)
         readings = Readings(accel * seen.interval_s, gyro * seen.interval_s)
         for _, step in self._steps:
             step(seen, readings)

@@ -42,6 +42,7 @@ from drivers.samples import Status, empty_samples
 from inertial.documents import BlockModel
 from inertial.earth import STANDARD_GRAVITY_MPS2
 from simulators.block import SimulatedBlock
+from simulators.errors import ScenarioError
 from simulators.motion import Setup
 from simulators.scenarios import DEG, Move, Scenario, StuckSensor, effect, make_block, vector
 
@@ -66,7 +67,7 @@ class Outgoing(NamedTuple):
     sequence: int | None
 
 
-class DeviceError(ValueError):
+class DeviceError(ScenarioError):
     """The block cannot be simulated so: its memory file is damaged or its frames do not fit the line."""
 
 

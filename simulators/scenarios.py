@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from drivers.recording_meta import (
@@ -40,16 +41,13 @@ from inertial.error_model import Coefficients, Terms
 from simulators.block import SimulatedBlock, Thermal
 from simulators.effects import get_effect
 from simulators.effects.base import values_of
+from simulators.errors import ScenarioError
 from simulators.motion import Array, Motion, Setup, Turn, Vector, Vibration
 from simulators.noise import generator
 
 DEG = math.pi / 180.0
 DEG_PER_H = DEG / 3600.0
 MG = 1e-3 * STANDARD_GRAVITY_MPS2
-
-
-class ScenarioError(ValueError):
-    """A scenario cannot be simulated; the text says which part and what to do."""
 
 
 class _Section(BaseModel):
@@ -166,6 +164,13 @@ def read_scenario(path: Path) -> Scenario:
     return scenario
 
 
+def write_scenario(scenario: Scenario, path: Path) -> Path:
+    """Write a scenario as TOML; reading it back gives the same."""
+    document = scenario.model_dump(mode="json", exclude_none=True)
+    path.write_text(tomli_w.dumps({section: content for section, content in document.items() if content}))
+    return path
+
+
 def believed_setup(scenario: Scenario) -> Setup:
     """Return how the block is believed to stand and move. What the reference does not give is taken as zero.
 
@@ -212,7 +217,7 @@ def make_block(
 
     Raises
     ------
-    ScenarioError, EffectError, ValueError
+    ScenarioError
         The scenario, one of its effects or the model's calibration cannot be simulated.
     """
     about = scenario.scenario
@@ -227,16 +232,21 @@ def make_block(
         for fault in scenario.fault
         if isinstance(fault, StuckSensor) and fault.at_s is not None and fault.at_s >= epoch_s
     ]
-    return SimulatedBlock(
-        model,
-        setup,
-        rate_hz=scenario.block.sample_rate_hz,
-        seed=about.seed,
-        effects=[*scenario.effect, *stuck],
-        thermal=Thermal(about.start_c, about.end_c, about.time_constant_s),
-        power_cycle=power_cycle,
-        epoch_s=epoch_s,
-    )
+    try:
+        return SimulatedBlock(
+            model,
+            setup,
+            rate_hz=scenario.block.sample_rate_hz,
+            seed=about.seed,
+            effects=[*scenario.effect, *stuck],
+            thermal=Thermal(about.start_c, about.end_c, about.time_constant_s),
+            power_cycle=power_cycle,
+            epoch_s=epoch_s,
+        )
+    except ScenarioError:
+        raise
+    except ValueError as error:
+        raise ScenarioError(f"this block or its motion cannot be simulated: {error}") from None
 
 
 def planted_terms(scenario: Scenario, model: BlockModel) -> Terms:
@@ -251,7 +261,7 @@ def planted_terms(scenario: Scenario, model: BlockModel) -> Terms:
 
 def effect(name: str, channel: str, **parameters: tuple[float, str]) -> EffectEntry:
     """Return an entry from parameters given as (value, unit)."""
-    values = {key: ParameterValue(value=value, unit=unit) for key, (value, unit) in parameters.items()}
+    values = {key: ParameterValue(value=float(value), unit=unit) for key, (value, unit) in parameters.items()}
     return EffectEntry(effect=name, channel=channel, parameters=values)
 
 

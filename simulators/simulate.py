@@ -19,6 +19,7 @@ from drivers.recording import write_recording
 from drivers.timebase import Timebase
 from inertial.documents import BlockModel, Calibration
 from simulators.device import Device, TermMemory
+from simulators.errors import ScenarioError
 from simulators.model_store import load_model
 from simulators.scenarios import (
     FAULT,
@@ -27,7 +28,6 @@ from simulators.scenarios import (
     NoisyLine,
     Restart,
     Scenario,
-    ScenarioError,
     StuckSensor,
     Unplug,
     make_block,
@@ -60,7 +60,7 @@ def simulate_recording(
 
     Raises
     ------
-    ScenarioError, EffectError, ValueError
+    ScenarioError
         The scenario or the model cannot be simulated.
     """
     if seed is not None:
@@ -303,7 +303,7 @@ def run_on_line(
 
     Raises
     ------
-    ScenarioError, EffectError, DeviceError, ProtocolError, ValueError
+    ScenarioError, ProtocolError
         The scenario cannot be run.
     """
     if (path is None) == (tcp_port is None):

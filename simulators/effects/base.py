@@ -27,12 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS, EffectEntry, ParameterValue
+from simulators.errors import ScenarioError
 from simulators.motion import Setup
 
 Array = NDArray[np.float64]
 
 
-class EffectError(ValueError):
+class EffectError(ScenarioError):
     """An effect is unknown, or its channel or a parameter does not fit it; the text says which and what would."""
 
 
