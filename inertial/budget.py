@@ -275,7 +275,7 @@ def _noise_parts(
         later = integral_covariances(channels, spans)
         return [_sandwich(by_noise[:, :, c], part) for c, part in enumerate(later)]
     end = float(past[-1, 1])
-    whole = by_errors[:, :, None, :] @ gain.transpose(1, 0, 2)  # (m, 9, 6, past spans)
+    whole = np.einsum("tsn,ncp->tscp", by_errors, gain)
     if after_s is None:
         before = integral_covariances(channels, past, reference_s=end)
         later = integral_covariances(channels, spans)
