@@ -180,12 +180,10 @@ def replay(
     ``direction`` chooses what the host received or what it sent; losses are added to ``counters``.
     """
     decoder = StreamDecoder(protocol, bit_rate, counters=counters)
-    opened_before, waiting = False, 0
+    waiting = 0
     for record in read_capture(path):
         if record.kind == RecordKind.OPENED:
-            if opened_before:
-                decoder.reopened(record.host_time_s)
-            opened_before = True
+            decoder.opened(record.host_time_s)
         elif record.kind == direction:
             decoder.feed(record.data, record.host_time_s)
             waiting += len(record.data)

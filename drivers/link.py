@@ -174,7 +174,7 @@ class SerialLink:
                 remaining = deadline - time.monotonic()
                 for host_time_s, data in self._take_queued(remaining):
                     if data is None:
-                        self._decoder.reopened(host_time_s)
+                        self._decoder.opened(host_time_s)
                     else:
                         self._decoder.feed(data, host_time_s)
                 batch = self._decoder.take(self.timebase.now_s())
@@ -198,7 +198,7 @@ class SerialLink:
         with self._port_use:
             if self._port is None:
                 raise LinkError(f"{self.url}: cannot send, the line is {self._line}: {self.reason}. Connect the block.")
-            self._tee(data, RecordKind.SENT)
+            self._tee(data, self.timebase.now_s(), RecordKind.SENT)
             try:
                 self._port.write(data)
             except (OSError, TypeError) as error:  # pyserial's own errors are OSErrors
@@ -219,18 +219,18 @@ class SerialLink:
         with self._arrived:
             self._queue.append((host_time_s, data))
             self._queued_bytes += len(data or b"")
-            while self._queued_bytes > self._queue_bytes:
+            while self._queued_bytes > self._queue_bytes and len(self._queue) > 1:
                 dropped = len(self._queue.popleft()[1] or b"")
                 self._queued_bytes -= dropped
                 self.counters.queue_drops += bool(dropped)
                 self.counters.bytes_dropped += dropped
             self._arrived.notify()
 
-    def _tee(self, data: bytes, kind: RecordKind) -> None:
+    def _tee(self, data: bytes, host_time_s: float, kind: RecordKind) -> None:
         """Write to the raw capture; a disk that fails costs the capture, never the line."""
         if self._capture is not None:
             try:
-                self._capture.write(data, self.timebase.now_s(), kind)
+                self._capture.write(data, host_time_s, kind)
             except OSError:
                 self.counters.capture_failures += 1
                 self._capture = None
@@ -265,9 +265,8 @@ class SerialLink:
         self.counters.openings += 1
         self._opened_s = self.timebase.now_s()
         about = describe_line(url=self.url, protocol=self.protocol.name, bit_rate=self.bit_rate)
-        self._tee(about, RecordKind.OPENED)
-        if self.counters.openings > 1:
-            self._put(self._opened_s, None)
+        self._tee(about, self._opened_s, RecordKind.OPENED)
+        self._put(self._opened_s, None)
         with self._port_use:
             self._port = port
         self.reason = ""
@@ -290,7 +289,7 @@ class SerialLink:
                 data = receive()
                 if data:
                     host_time_s = self.timebase.now_s()
-                    self._tee(data, RecordKind.RECEIVED)
+                    self._tee(data, host_time_s, RecordKind.RECEIVED)
                     self._put(host_time_s, data)
         except Exception as error:  # whatever it was, the line is lost and this thread must not die
             self.counters.disconnections += 1

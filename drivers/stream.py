@@ -47,17 +47,21 @@ class StreamDecoder:
         self._splitter = Splitter(protocol, bit_rate, latency_s, self.counters)
         self._decoder = protocol.decoder()
         self._continuity = Continuity(delay_tolerance_s=latency_s + 0.5)
+        self._begun = False
         self._frames: list[Frame] = []
         self._reopened_at: list[int] = []  # frames ahead of which the line was opened again
 
+    def opened(self, host_time_s: float) -> None:
+        """Note that the line was opened: what was half received before will not be completed."""
+        self._frames += self._splitter.restart(host_time_s)
+        if self._begun:
+            self._reopened_at.append(len(self._frames))
+        self._begun = True
+
     def feed(self, data: bytes, host_time_s: float) -> None:
         """Take the next bytes, whose last one came at ``host_time_s`` [simulated s]."""
+        self._begun = True
         self._frames += self._splitter.feed(data, host_time_s)
-
-    def reopened(self, host_time_s: float) -> None:
-        """Note that the line was lost and opened again: what was half received will not be completed."""
-        self._frames += self._splitter.restart(host_time_s)
-        self._reopened_at.append(len(self._frames))
 
     def finish(self) -> None:
         """Note that nothing more will come: whole frames behind an unfinished one are found, the rest is discarded."""
