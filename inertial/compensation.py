@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 NODES = 10
 """Steps of a stage; with the start, 11 rows of nodes (the paper's 11 × 3)."""
-_PARTS = 10  # noise spans between two nodes: weights that run linearly are resolved to 0.1 % of the variance
+_PARTS = 5  # noise spans between two nodes: weights that run linearly keep their variance to 1e-4
 _INDEX = np.arange(NODES + 1.0)
 _SLOPE = _INDEX / (_INDEX @ _INDEX)  # (UᵀU)⁻¹Uᵀ of eq. (3)
 _UNSEEN_SHARE = 0.3  # a sensor that looks this far along a direction nobody bounds has no σ

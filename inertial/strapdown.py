@@ -176,6 +176,8 @@ def integrate(
         gz += (2.0 * gradient * mz - gravity) * dt
         mx, my, mz = vx + 0.5 * gx, vy + 0.5 * gy, vz + 0.5 * gz
         turn = coriolis * dt
+        cx, cy, cz = ey * mz - ez * my, ez * mx - ex * mz, ex * my - ey * mx
+        mx, my, mz = mx - 0.5 * turn * cx, my - 0.5 * turn * cy, mz - 0.5 * turn * cz
         nx = vx + gx - turn * (ey * mz - ez * my)
         ny = vy + gy - turn * (ez * mx - ex * mz)
         nz = vz + gz - turn * (ex * my - ey * mx)

@@ -27,7 +27,7 @@ from inertial.strapdown import CORIOLIS, navigate
 Array = NDArray[np.float64]
 
 CONFIDENCE = 0.999
-_SPANS = 100
+_SPANS = 50
 
 
 @dataclass(frozen=True)
