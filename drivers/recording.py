@@ -143,7 +143,7 @@ def _read_columns(path: Path) -> pa.Table:
         if path.suffix == ".csv":
             table = pa.csv.read_csv(path)
         else:
-            with pa.parquet.ParquetFile(path) as file:
+            with pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
                 table = file.read()
     except (pa.ArrowException, OSError) as error:
         kind = "CSV with one header line" if path.suffix == ".csv" else "whole Parquet file"
@@ -271,7 +271,7 @@ class _Table:
         steps = np.diff(time_s)
         if np.any(steps <= 0):
             row = int(np.argmax(steps <= 0)) + 1
-            reason = f"{time_s[row]!r} s does not come after {time_s[row - 1]!r} s".replace("np.float64", "")
+            reason = f"{time_s[row]} s does not come after {time_s[row - 1]} s"
             self._refuse(
                 row,
                 TIME_COLUMN,
@@ -344,7 +344,7 @@ def write_recording(path: Path | str, samples: SampleArray, meta: RecordingMeta)
         data_path.parent.mkdir(parents=True, exist_ok=True)
         meta_path.unlink(missing_ok=True)  # a crash between the two must not leave new data beside an old TOML
         with _whole_file(data_path) as temporary:
-            pa.parquet.write_table(table, temporary, compression="zstd")
+            pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
         with _whole_file(meta_path) as temporary:
             temporary.write_text(meta_text(meta), encoding="utf-8")
     except OSError as error:

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import pytest
 from driver_bench import counting_samples, encoded
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.counters import Counters
@@ -136,6 +136,7 @@ def test_no_untouched_frame_is_lost_on_a_damaged_line(seed: int) -> None:
     assert touched > 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.one_of(st.sampled_from(FRAMES[:5]), st.binary(max_size=100)), max_size=30), st.integers(0, 2**32))
 def test_good_frames_between_anything_at_all_are_found(parts: list[bytes], seed: int) -> None:
     found, _ = split(b"".join(parts), seed=seed)
@@ -143,6 +144,7 @@ def test_good_frames_between_anything_at_all_are_found(parts: list[bytes], seed:
     assert [frame for frame in found if frame in FRAMES[:5]] == wanted
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=2000), st.integers(0, 2**32))
 def test_garbage_alone_gives_nothing_and_keeps_little(data: bytes, seed: int) -> None:
     splitter = Splitter(NATIVE, BIT_RATE)
@@ -151,6 +153,7 @@ def test_garbage_alone_gives_nothing_and_keeps_little(data: bytes, seed: int) ->
         assert splitter.pending <= NATIVE.longest
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 60 * 20), max_size=40))
 def test_frames_do_not_depend_on_where_reads_cut_the_stream(cuts: list[int]) -> None:
     stream = b"".join(FRAMES[:20])

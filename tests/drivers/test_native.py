@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driver_bench import counting_samples
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.framing import Splitter
@@ -67,6 +67,7 @@ def through_the_line(data: bytes) -> list[Frame]:
     return Splitter(NATIVE).feed(data, 1.0)
 
 
+@settings(deadline=None)
 @given(messages, st.integers(0, 2**32 - 1), st.integers(0, 2**50))
 def test_every_message_arrives_as_sent(message: Message, sequence: int, time_us: int) -> None:
     data = NATIVE.encode_message(message, sequence, time_us / 1e6)
@@ -74,6 +75,7 @@ def test_every_message_arrives_as_sent(message: Message, sequence: int, time_us:
     assert [(one.message, one.sequence, one.time_s) for one in received] == [(message, sequence, time_us / 1e6)]
 
 
+@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(
