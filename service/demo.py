@@ -235,7 +235,7 @@ def _start_service(
     """Start the service on the block's line, with what a launcher knows: site, reference, calibration."""
     write_calibration(model, folder.file("calibration.json"))
     configuration = {
-        "link": {"url": str(folder.pty.resolve()), "protocol": "native"},
+        "link": {"url": str(folder.pty.absolute()), "protocol": "native"},
         "site": scenario.site.model_dump(exclude_none=True),
         "reference": scenario.reference.model_dump(exclude_none=True),
         "block": {"calibration": "calibration.json", "gyro_kind": model.gyro_kind},

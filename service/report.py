@@ -78,7 +78,7 @@ def _section(title: str, body: str) -> str:
 
 
 def _head(result: Result) -> str:
-    block = " · ".join(str(value) for value in result.block.values() if isinstance(value, str) and value)
+    block = " · ".join(str(value) for _, value in sorted(result.block.items()) if isinstance(value, str) and value)
     return (
         f"<header><h1>Pre-launch trim of the inertial block</h1>"
         f'<p class="dim">{escape(block)} · method {escape(result.method)} · {escape(result.software)}</p></header>'
@@ -234,7 +234,7 @@ def _facts(facts: dict[str, Any]) -> str:
 
 def _flat(value: Any, prefix: str) -> Iterable[tuple[str, str]]:
     if isinstance(value, dict):
-        for key in value:
+        for key in sorted(value):  # a result read back from its file has its keys in this order
             yield from _flat(value[key], f"{prefix} · {key}" if prefix else str(key))
     else:
         yield prefix.replace("_", " "), _plain(value)
