@@ -90,7 +90,7 @@ class Controller:
         self._records: queue.SimpleQueue[TransitionRecord | None] = queue.SimpleQueue()
         self._recorder = threading.Thread(target=self._record, name="recorder", daemon=True)
         self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
-        self._worker = Worker(settings, self.store, self.line, self._on_reply)
+        self._worker = Worker(settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted)
         self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick)
         self._progress_s = 0.0
         self._published = publish(self._facts())

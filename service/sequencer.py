@@ -204,6 +204,10 @@ class Sequencer:
         """Whether the navigation data are fit: READY, with a result that says so, on a line that is fresh."""
         return self.state is Name.READY and self._streaming() and self._run is not None and self._run.result is not None
 
+    def is_wanted(self, token: int) -> bool:
+        """Whether the reply to an order of this token would still be taken."""
+        return token == self._token
+
     def allowed(self) -> list[str]:
         """Commands that fit the state."""
         return [command for command in OPERATOR_COMMANDS if self._machine.may(command, self._held)]

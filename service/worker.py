@@ -50,6 +50,8 @@ class Worker:
         To the block; None without one.
     reply
         Called from this thread with what became of each order.
+    is_wanted
+        Whether anybody still waits for orders of a token; the others are passed over.
     """
 
     def __init__(
@@ -58,8 +60,10 @@ class Worker:
         store: Store,
         line: Line | None,
         reply: Callable[[Reply], None],
+        is_wanted: Callable[[int], bool],
     ) -> None:
         self._settings, self._store, self._line, self._reply = settings, store, line, reply
+        self._is_wanted = is_wanted
         self._orders: queue.SimpleQueue[Order | Callable[[], None] | None] = queue.SimpleQueue()
         self._plans: dict[str, RunPlan] = {}
         self._run_id: str | None = None
@@ -91,7 +95,7 @@ class Worker:
             try:
                 if callable(order):
                     order()
-                else:
+                elif isinstance(order, Keep) or self._is_wanted(order.token):
                     self._do(order)
             except Exception:
                 log.exception("worker", order=type(order).__name__)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
+from typing import Any
 
 from fastapi import FastAPI
 
@@ -21,13 +24,22 @@ def create_app(controller: Controller) -> FastAPI:
         openapi_url="/api/v1/openapi.json",
         docs_url=None,
         redoc_url=None,
-        max_body_size=MAX_BODY_BYTES,
         redirect_slashes=False,
     )
     app.state.controller = controller
-    problems.install(app)
+    problems.install(app, MAX_BODY_BYTES)
     for module in (status, runs, events, library):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(status.probes, prefix="/api/v1")
     app.include_router(status.probes, include_in_schema=False)
+    app.openapi = partial(_document, app, app.openapi)  # type: ignore[method-assign]
     return app
+
+
+def _document(app: FastAPI, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return the OpenAPI document with the schema that the error responses name."""
+    if app.openapi_schema is None:
+        schema = problems.Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+        make().setdefault("components", {}).setdefault("schemas", {})["Problem"] = schema
+    assert app.openapi_schema is not None
+    return app.openapi_schema

@@ -18,7 +18,7 @@ router = APIRouter(prefix="/runs", tags=["runs"])
 BASE = "/api/v1/runs"
 
 
-@router.post("", status_code=202, responses=responses(409, 413, 422))
+@router.post("", status_code=202, responses=responses(400, 409, 413, 422))
 def start_run(
     body: RunRequest,
     request: Request,
@@ -58,7 +58,7 @@ def read_run(run_id: RunId, controller: ControllerHere) -> RunDetail:
     )
 
 
-@router.post("/{run_id}/abort", status_code=202, responses=responses(404, 409, 413, 422))
+@router.post("/{run_id}/abort", status_code=202, responses=responses(400, 404, 409, 413, 422))
 def abort_run(
     run_id: RunId,
     request: Request,
@@ -75,7 +75,7 @@ def abort_run(
     return _accepted(controller, response, run_id)
 
 
-@router.post("/{run_id}/acknowledge", status_code=202, responses=responses(404, 409, 413, 422))
+@router.post("/{run_id}/acknowledge", status_code=202, responses=responses(400, 404, 409, 413, 422))
 def acknowledge_run(
     run_id: RunId,
     request: Request,

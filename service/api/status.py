@@ -9,12 +9,17 @@ from fastapi import APIRouter, Header, Response
 from service.api.common import ControllerHere
 from service.api.metrics import CONTENT_TYPE, exposition
 from service.api.models import Health, Status
+from service.api.problems import responses
 
 router = APIRouter(tags=["status"])
 probes = APIRouter(tags=["probes"])
 
 
-@router.get("/status", response_model=Status, responses={304: {"description": "Not changed since that ETag"}})
+@router.get(
+    "/status",
+    response_model=Status,
+    responses={304: {"description": "Not changed since that ETag"}, **responses(422)},
+)
 async def read_status(
     controller: ControllerHere, if_none_match: Annotated[str | None, Header(max_length=200)] = None
 ) -> Response:

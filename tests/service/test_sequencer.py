@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sequencer_bench import TERMS, Bench, result
 
 from drivers.samples import Status
 from inertial.documents import StageTerms
 from service.sequencer import NotAllowed, Reply
 from service.states import PATH, RESUMABLE, WINDOWS, Name
-
-from sequencer_bench import TERMS, Bench, result
 
 WINDOW_STEPS = list(WINDOWS)
 
@@ -365,7 +364,9 @@ def test_a_result_that_cannot_be_kept_is_a_fault() -> None:
 def test_a_reply_that_comes_after_its_step_changes_nothing() -> None:
     bench = Bench()
     late: list[Reply] = []
-    bench.answers["Estimate"] = lambda order: late.append(Reply(order.token, "final", result())) if order.final else None
+    bench.answers["Estimate"] = lambda order: (
+        late.append(Reply(order.token, "final", result())) if order.final else None
+    )
     bench.at(Name.VERIFYING).run(25)
     bench.core.abort(bench.now_s)
     for reply in late:
@@ -441,7 +442,7 @@ def test_the_status_has_the_keys_that_consoles_read() -> None:
     bench = Bench(stage_s=60.0).at(Name.STAGE_2)
     bench.run(20)
     status = bench.core.snapshot()
-    names = "state since reason run_id stage progress elapsed_s remaining_s link age_s fit reasons allowed".split()
+    names = ["state", "since", "reason", "run_id", "stage", "progress", "elapsed_s", "remaining_s", "link", "age_s", "fit", "reasons", "allowed"]
     assert set(names) <= set(status)
     assert status["progress"] + status["remaining_s"] / 61.0 == pytest.approx(1.0, abs=1e-3)
     assert 0.3 < status["progress"] < 0.36
