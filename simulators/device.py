@@ -82,13 +82,14 @@ class TermMemory:
             self.terms = _read_terms(path)
 
     def write(self, f_mps2: Vector, g_radps: Vector) -> None:
-        """Keep new terms."""
-        self.terms = Compensation(f_mps2, g_radps, self.terms.writes + 1, terms_crc(f_mps2, g_radps))
+        """Keep new terms; on ``OSError`` the old ones stay."""
+        terms = Compensation(f_mps2, g_radps, self.terms.writes + 1, terms_crc(f_mps2, g_radps))
         if self._path is not None:
-            kept = {"f_mps2": f_mps2, "g_radps": g_radps, "writes": self.terms.writes, "crc": self.terms.crc}
+            kept = {"f_mps2": f_mps2, "g_radps": g_radps, "writes": terms.writes, "crc": terms.crc}
             partial = self._path.with_name(self._path.name + ".part")
             partial.write_text(json.dumps(kept) + "\n")
             os.replace(partial, self._path)
+        self.terms = terms
 
 
 def _read_terms(path: Path) -> Compensation:
@@ -279,6 +280,8 @@ class Device:
             case Start():
                 if self._block is None:
                     self._switch_on(now_s)
+                if not self._streaming:
+                    self._due_samples(now_s)  # what was sensed while silent goes unheard
                 self._streaming = True
             case Stop():
                 self._streaming = False

@@ -151,6 +151,11 @@ class LineSimulator:
         self._now_s = timebase.now_s()
         self._turned_at = time.monotonic()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether the line is there."""
+        return self._uart.plugged
+
     def inject(self, fault: Fault) -> None:
         """Let a fault happen now; its ``at_s`` does not matter."""
         self._asked.put(fault)
