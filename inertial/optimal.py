@@ -152,7 +152,8 @@ class OptimalEstimate:
     bounds (empty as a rule). ``sources`` takes the covariance apart by independent cause. ``gain`` (n, 6, m) makes the
     error from the noise integrated over ``spans_s`` (m, 2), for use where later noise hangs on earlier.
     ``C_tb`` (k, 3, 3), ``azimuth_rad``: the reference with the estimated errors taken out, of every attitude in turn;
-    ``attitude_slope`` (k, 3, n): rotation of each in the tangent frame by the unknowns.
+    ``attitude_slope`` (k, 3, n): rotation of each in the tangent frame by the unknowns. ``sensitivity`` (k, 6, n): of
+    the calibrated readings in each attitude to the unknowns.
     ``fit`` is the reduced χ² of each sensor's nodes about one constant per attitude, on ``fit_degrees`` degrees of
     freedom: far from 1, the block moved or its noise is not what was said.
     """
@@ -168,6 +169,7 @@ class OptimalEstimate:
     C_tb: Array
     azimuth_rad: float
     attitude_slope: Array
+    sensitivity: Array
     reference: LauncherReference
     turns: tuple[Turn, ...]
     gain: Array
@@ -195,6 +197,14 @@ class OptimalEstimate:
     def correlation(self) -> Array:
         """Return the correlation (n, n) of the errors."""
         return correlation(self.covariance)
+
+    @property
+    def rest_weights(self) -> Array:
+        """Return weights (6, m, 6) on the mean noise over ``spans_s`` that make the error of compensated readings
+        at rest in the last attitude: what later navigation there shows of the estimate. The reference's errors cancel.
+        """
+        duration = self.spans_s[:, 1] - self.spans_s[:, 0]
+        return np.asarray(-np.einsum("sn,ncm->smc", self.sensitivity[-1], self.gain) * duration[:, None])
 
     @property
     def noise_covariance(self) -> Array:
@@ -415,6 +425,7 @@ def estimate_nodes(
         C_tb=attitudes,
         azimuth_rad=azimuth,
         attitude_slope=problem.attitude_slope(value),
+        sensitivity=sensitivity,
         reference=reference,
         turns=problem.turns,
         gain=np.einsum("nck,ckm->ncm", to_mean, weights.mean),

@@ -189,6 +189,14 @@ def test_stages_pool_what_came_before() -> None:
     assert np.all(np.abs(whole.fit - 1.0) < 5.0 * math.sqrt(2.0 / whole.fit_degrees))
 
 
+def test_readings_at_rest_err_by_the_mean_noise_whatever_the_reference() -> None:
+    reference = LauncherReference(body_to_tangent(0.1, 0.2, 0.3), AZIMUTH, 1e-3, 1e-2)
+    segment = still(reference.C_tb, seconds=100.0)
+    found = estimate([segment], SITE, reference, block_noise(gyro=ChannelNoise(white=ARW)), Coefficients.ideal())
+    expected = np.repeat(-np.eye(6)[:, None, :] / 100.0, 100, axis=1)
+    np.testing.assert_allclose(found.rest_weights, expected, atol=1e-8)
+
+
 def test_lost_samples_and_pauses_cost_only_their_time() -> None:
     whole = still(np.eye(3), seconds=180.0)
     kept = np.random.default_rng(2).random(1800) > 0.3
