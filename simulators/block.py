@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
 from drivers.samples import SampleArray, Status, empty_samples
-from inertial.documents import CHANNELS, BlockModel, ChannelNoise, EffectEntry, Noise
+from inertial.documents import BlockModel, ChannelNoise, EffectEntry, Noise
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, Stage, Step, values_of
@@ -31,6 +31,7 @@ _THERMOMETERS = np.array([1.0, 0.96, 1.05])  # each sensor's share of the rise: 
 _THERMOMETER_NOISE_C = 0.01
 _SUPPLY_V = 28.0
 _SUPPLY_NOISE_V = 0.005
+_AT_ONCE = 8192  # samples made in one go: their arrays stay in the processor's cache
 _SENT = Stage.READOUT + 0.5  # when a reading is rounded to the steps of its frame
 
 
@@ -141,12 +142,20 @@ class SimulatedBlock:
 
     def generate(self, count: int) -> SampleArray:
         """Return the next ``count`` samples, with three temperatures."""
+        samples = empty_samples(count, _THERMOMETERS.size)
+        for start in range(0, count, _AT_ONCE):
+            self._fill(samples[start : start + _AT_ONCE])
+        return samples
+
+    def _fill(self, samples: SampleArray) -> None:
+        count = len(samples)
         seen = self._circumstances(count)
         accel, gyro = readings_from_true(seen.accel_mps2, seen.gyro_radps, self._coefficients)
-        readings = Readings(accel * seen.interval_s, gyro * seen.interval_s)
+        accel *= seen.interval_s
+        gyro *= seen.interval_s
+        readings = Readings(accel, gyro)
         for _, step in self._steps:
             step(seen, readings)
-        samples = empty_samples(count, _THERMOMETERS.size)
         samples["sequence"] = (self._next + np.arange(count)).astype(np.uint32)
         samples["time"] = np.rint(seen.time_s * 1e6) / 1e6
         samples["dv"], samples["dtheta"] = readings.dv, readings.dtheta
@@ -154,7 +163,6 @@ class SimulatedBlock:
         samples["supply"] = seen.supply_v
         samples["status"] = np.where(seen.time_s < START_UP_S, int(Status.START_UP), 0)
         self._next += count
-        return samples
 
     def _circumstances(self, count: int) -> Circumstances:
         interval_s = 1.0 / self.rate_hz
@@ -177,39 +185,32 @@ def _stage(step: tuple[float, Step]) -> float:
 
 
 def _own_noise(noise: Noise, interval_s: float, seed: int, cycle: int) -> list[tuple[float, Step]]:
-    """Return the steps of the model's noise and of the readout, for all six channels at once."""
-    channels: list[ChannelNoise] = [getattr(noise, channel) for channel in CHANNELS]
-    kinds = (
-        ("white", White, [channel.white for channel in channels]),
-        ("flicker", Flicker, [channel.flicker for channel in channels]),
-        ("random_walk", RateRandomWalk, [channel.random_walk for channel in channels]),
-    )
-    steps: list[tuple[float, Step]] = [
-        (float(Stage.NOISE), _add(kind(coefficients, interval_s, generator(seed, cycle, zlib.crc32(name.encode())))))
-        for name, kind, coefficients in kinds
-        if any(coefficients)
-    ]
-    coarse = [channel.quantisation for channel in channels]
-    if any(coarse):
-        steps.append((float(Stage.READOUT), _round(coarse)))
-    steps.append((_SENT, _round([DV_LSB_MPS] * 3 + [DTHETA_LSB_RAD] * 3)))
+    """Return the steps of the model's noise and of the readout, three channels at a time."""
+    steps: list[tuple[float, Step]] = []
+    for triad in ("accel", "gyro"):
+        channels: list[ChannelNoise] = [getattr(noise, f"{triad}_{axis}") for axis in "xyz"]
+        for name, kind in (("white", White), ("flicker", Flicker), ("random_walk", RateRandomWalk)):
+            coefficients = [getattr(channel, name) for channel in channels]
+            if any(coefficients):
+                rng = generator(seed, cycle, zlib.crc32(f"{triad} {name}".encode()))
+                steps.append((float(Stage.NOISE), _add(kind(coefficients, interval_s, rng), triad)))
+        steps.append((float(Stage.READOUT), _round([channel.quantisation for channel in channels], triad)))
+    steps += [(_SENT, _round([DV_LSB_MPS] * 3, "accel")), (_SENT, _round([DTHETA_LSB_RAD] * 3, "gyro"))]
     return steps
 
 
-def _add(process: White | Flicker | RateRandomWalk) -> Step:
+def _add(process: White | Flicker | RateRandomWalk, triad: str) -> Step:
     def step(seen: Circumstances, readings: Readings) -> None:
-        rows = process.increments(seen.time_s.size)
-        readings.dv[:] += rows[:, :3]
-        readings.dtheta[:] += rows[:, 3:]
+        rows = readings.dv if triad == "accel" else readings.dtheta
+        rows += process.increments(seen.time_s.size)
 
     return step
 
 
-def _round(sizes: list[float]) -> Step:
-    accels, gyros = Quantiser(sizes[:3]), Quantiser(sizes[3:])
+def _round(sizes: list[float], triad: str) -> Step:
+    quantiser = Quantiser(sizes)
 
     def step(seen: Circumstances, readings: Readings) -> None:  # noqa: ARG001
-        accels.quantise(readings.dv)
-        gyros.quantise(readings.dtheta)
+        quantiser.quantise(readings.dv if triad == "accel" else readings.dtheta)
 
     return step
