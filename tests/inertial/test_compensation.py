@@ -318,7 +318,11 @@ def test_what_cannot_be_run_is_refused() -> None:
 
 
 def test_real_ring_laser_block(shared_data: Path) -> None:
-    """Quiet vehicle, stages at 90 to 270 s: mean rate over them with the terms in is the Earth's, and gravity too."""
+    """Quiet vehicle, windows as a run takes them from the start (30 s to align, 3 × 60 s).
+
+    The chain's terms are the last stage's, so that is where the mean rate is the Earth's to 0.15 deg/h; over all three
+    stages the vehicle's slow tilt, 10 arcsec a minute, is between the stages' own means.
+    """
     table = pq.read_table(shared_data / "recordings" / "rlg_vehicle_quiet.parquet")
     dv = np.column_stack([table[f"dv_{a}_mps"].to_numpy() for a in "xyz"])
     dtheta = np.column_stack([table[f"dtheta_{a}_rad"].to_numpy() for a in "xyz"])
@@ -331,11 +335,13 @@ def test_real_ring_laser_block(shared_data: Path) -> None:
             np.arange(end * 100 - start * 100), table["time_s"].to_numpy()[part], dv[part], dtheta[part], interval[part]
         )
 
-    noise = noise_of_block(dv[:27000] / 0.01, dtheta[:27000] / 0.01, 0.01)
-    alignment = coarse_alignment(window(60, 90), IDEAL, site, Reference(azimuth, math.radians(0.5)), noise)
-    result = paper_chain([window(90, 150), window(150, 210), window(210, 270)], alignment, site, IDEAL, noise)
-    mean = dtheta[9000:27000].sum(axis=0) / 180.0 + result.terms.g_radps
-    np.testing.assert_allclose(mean / DEG_H, alignment.C_tb.T @ site.earth_rate_radps(azimuth) / DEG_H, atol=0.15)
+    noise = noise_of_block(dv[:21000] / 0.01, dtheta[:21000] / 0.01, 0.01)
+    alignment = coarse_alignment(window(0, 30), IDEAL, site, Reference(azimuth, math.radians(0.5)), noise)
+    result = paper_chain([window(30, 90), window(90, 150), window(150, 210)], alignment, site, IDEAL, noise)
+    earth_rate = alignment.C_tb.T @ site.earth_rate_radps(azimuth)
+    for start, tolerance in ((150, 0.15), (30, 0.3)):
+        mean = dtheta[start * 100 : 21000].sum(axis=0) / (210 - start) + result.terms.g_radps
+        np.testing.assert_allclose(mean / DEG_H, earth_rate / DEG_H, atol=tolerance)
     assert abs(result.terms.f_mps2[2]) < 0.02 * MG
     assert result.sigma[0] is None
     sigma_g = np.sqrt(np.diag(result.covariance))[3:]
