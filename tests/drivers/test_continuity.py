@@ -50,6 +50,13 @@ def test_a_block_that_counts_anew_is_told_even_early_in_its_life() -> None:
     assert marks.gaps == []
 
 
+def test_a_device_time_that_went_back_is_a_restart_though_the_counter_went_on() -> None:
+    samples = counting_samples(60)
+    samples["time"][50:] -= 0.4
+    marks = follow(Continuity(), samples)
+    assert (marks.restarts, marks.gaps) == ([50], [])
+
+
 def test_a_restart_hidden_by_an_unplugged_line_is_told_by_host_time() -> None:
     continuity = Continuity(delay_tolerance_s=0.5)
     follow(continuity, counting_samples(10))

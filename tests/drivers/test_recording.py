@@ -137,6 +137,17 @@ def test_writing_replaces_and_leaves_nothing_else_behind(tmp_path: Path) -> None
     assert (tmp_path / "out.parquet").read_bytes() == first
 
 
+def test_new_data_never_stand_beside_an_old_toml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: RecordingMeta) -> str:
+        raise OSError(28, "No space left on device")
+
+    write_recording(tmp_path / "run", counting_samples(10), META)
+    monkeypatch.setattr("drivers.recording.meta_text", fail)
+    with pytest.raises(RecordingError, match="No space left on device"):
+        write_recording(tmp_path / "run", counting_samples(20), META)
+    assert "run.toml: no such file" in refusal(tmp_path / "run")
+
+
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot be written"):
