@@ -21,20 +21,23 @@ from service.commands.replay import replay
 from service.commands.report import report
 from service.commands.serve import serve
 from service.commands.simulate import simulate
-from service.errors import RefusedInput
 
+FAILED = 1
 REFUSED = 2
 PROGRAM_FAULT = 70
 USER_ERRORS = (
-    ("drivers.recording", "RecordingError"),
+    ("drivers.recording_meta", "RecordingError"),
     ("drivers.capture", "CaptureError"),
     ("drivers.commands", "CommandError"),
     ("drivers.link", "LinkError"),
-    ("drivers.protocols", "ProtocolError"),
+    ("drivers.protocols.base", "ProtocolError"),
     ("inertial.documents", "DocumentError"),
-    ("simulators.scenarios", "ScenarioError"),
+    ("simulators.errors", "ScenarioError"),
     ("service.config", "ConfigError"),
+    ("service.errors", "RefusedInput"),
 )
+"""What a user's input can raise, by module and name, so that nothing is imported for it."""
+FAILURES = (("service.demo", "DemoFailed"), ("service.processes", "ProcessFailed"))
 
 app = typer.Typer(
     name="inertrim",
@@ -84,30 +87,30 @@ def explain(error: Exception) -> int:
     """Print one line about a failure to standard error and return the exit code."""
     if _wanted["traceback"]:
         traceback.print_exception(error)
-    if isinstance(error, RefusedInput) or _is_user_error(error):
-        print(f"inertrim: {_one_line(error)}", file=sys.stderr)
-        return REFUSED
+    if _is(error, USER_ERRORS):
+        return _say(str(error), REFUSED)
     if isinstance(error, OSError) and error.filename is not None:
-        print(f"inertrim: {error.filename}: {error.strerror}. Check the path and its permissions.", file=sys.stderr)
-        return REFUSED
+        path = error.filename2 or error.filename
+        return _say(f"{path}: {error.strerror}. Check the path and its permissions.", REFUSED)
+    if _is(error, FAILURES):
+        return _say(str(error), FAILED)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(frame.filename).name}:{frame.lineno}"
-    print(
-        f"inertrim: internal error at {place}: {type(error).__name__}: {_one_line(error)} "
-        f"(run `inertrim --debug …` for the traceback)",
-        file=sys.stderr,
+    return _say(
+        f"internal error at {place}: {type(error).__name__}: {error} (run `inertrim --debug …` for the traceback)",
+        PROGRAM_FAULT,
     )
-    return PROGRAM_FAULT
 
 
-def _is_user_error(error: Exception) -> bool:
-    """Tell errors that name a user's input; a class whose module was never loaded cannot have been raised."""
-    kinds = [getattr(sys.modules.get(module), name, None) for module, name in USER_ERRORS]
-    return isinstance(error, tuple(kind for kind in kinds if kind is not None))
+def _say(text: str, code: int) -> int:
+    print(f"inertrim: {' '.join(text.split())}", file=sys.stderr)
+    return code
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _is(error: Exception, kinds: tuple[tuple[str, str], ...]) -> bool:
+    """Tell an error's kind by name; a class whose module was never loaded cannot have been raised."""
+    loaded = [getattr(sys.modules.get(module), name, None) for module, name in kinds]
+    return isinstance(error, tuple(kind for kind in loaded if kind is not None))
 
 
 if __name__ == "__main__":

@@ -80,7 +80,9 @@ class Physical:
         samples = self.recording.samples[rows]
         if len(samples) == 0:
             raise RefusedInput(
-                self.name, f"no sample lies between {start_s} and {end_s} s.", "Name a span within the data."
+                self.name,
+                f"its data, {self.start_s:g} to {self.end_s:g} s, hold nothing of the span asked for.",
+                "Name a span within the data.",
             )
         return increments_of(
             samples["sequence"], samples["time"], samples["dv"], samples["dtheta"], self.interval_s[rows]

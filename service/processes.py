@@ -44,6 +44,10 @@ class Processes:
             command = [sys.executable, "-m", "service.cli", *arguments]
             self._children[name] = (subprocess.Popen(command, stdout=sink, stderr=sink, stdin=subprocess.DEVNULL), log)
 
+    def pids(self) -> list[int]:
+        """Return the children's process ids, in the order of their start."""
+        return [child.pid for child, _ in self._children.values()]
+
     def check(self) -> None:
         """Raise :class:`ProcessFailed` when a child has ended."""
         for name, (child, log) in self._children.items():

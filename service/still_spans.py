@@ -32,7 +32,7 @@ def still_spans(physical: Physical, start_s: float = -math.inf, end_s: float = m
     if not low < high:
         raise RefusedInput(
             physical.name,
-            f"it holds nothing from {low:g} to {high:g} s (its data: {physical.start_s:g} to {physical.end_s:g} s).",
+            f"its data, {physical.start_s:g} to {physical.end_s:g} s, hold nothing of the span asked for.",
             "Name a span within the data.",
         )
     noise = noise_to_judge_by(physical, low, high)

@@ -13,6 +13,7 @@ from service.commands.options import (
     RecordingArgument,
     StartOption,
     check_span,
+    check_targets,
     read_document,
     write_json,
     write_text,
@@ -36,6 +37,7 @@ def compensate(
     Exit code 0: fit; 1: not fit; 2: the input was refused.
     """
     check_span(start, end)
+    check_targets(out, report, json)
     from drivers.recording import read_recording
     from inertial.documents import BlockModel
     from service.compensate import compensate as run

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.commands.options import JsonOption, write_json
+from service.commands.options import JsonOption, check_targets, write_json
 
 
 def demo(
@@ -15,10 +15,10 @@ def demo(
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Draws shifts, reference errors and noise.")
     ] = 1,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Run at speed 1 (about eight minutes).")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Run at speed 1 (about nine minutes).")] = False,
     speed: Annotated[
         float, typer.Option("--speed", metavar="X", min=0.1, max=100.0, help="Simulated seconds per real second.")
-    ] = 25.0,
+    ] = 22.0,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for what the demo leaves.")] = Path(
         "demo-out"
     ),
@@ -30,6 +30,8 @@ def demo(
     from service.demo import run_demo
     from service.demo_view import DemoView
 
+    out.mkdir(parents=True, exist_ok=True)
+    check_targets(json)
     with DemoView() as view:
         facts = run_demo(out, seed, 1.0 if realtime else speed, view.show)
     write_json(json, facts)

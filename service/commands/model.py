@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from service.commands.options import write_text
+from service.errors import RefusedInput
 
 app = typer.Typer(help="Block models.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -41,16 +42,12 @@ def new(
         "block.json"
     ),
 ) -> None:
-    """Write a block model to start from."""
-    from inertial.documents import BlockModel
-    from service.errors import RefusedInput
+    """Write a block model to start from; where no noise is given, its size is left free, to be found in recordings."""
+    from drivers.recording import read_recording
+    from service.compensate import noise_at_rest
+    from simulators.model_store import ideal_model
 
     if not ideal:
         raise RefusedInput("model new", "say what kind of model.", "--ideal makes the one there is.")
-    model = BlockModel(block=out.stem, gyro_kind=gyro_kind.value)
-    if noise_from is not None:
-        from drivers.recording import read_recording
-        from service.compensate import noise_at_rest
-
-        model = model.model_copy(update={"noise": noise_at_rest(read_recording(noise_from))})
-    write_text(out, model.canonical_json())
+    noise = None if noise_from is None else noise_at_rest(read_recording(noise_from))
+    write_text(out, ideal_model(gyro_kind.value, noise).canonical_json())

@@ -13,6 +13,7 @@ from service.commands.options import (
     RecordingArgument,
     StartOption,
     check_span,
+    check_targets,
     read_document,
     write_json,
 )
@@ -29,6 +30,7 @@ def navigate(
 ) -> None:
     """Navigate along a recording and show the error: the block turns about itself, so it never leaves the origin."""
     check_span(start, end)
+    check_targets(json)
     from drivers.recording import read_recording
     from inertial.documents import Result
     from service.navigate import navigate_recording

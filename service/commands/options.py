@@ -33,13 +33,23 @@ EpochOption = Annotated[
 ProtocolOption = Annotated[str, typer.Option("--protocol", metavar="P", help="Frame layout, by name.")]
 
 
+def check_targets(*paths: Path | None) -> None:
+    """Refuse files that could not be written, before the work that makes them."""
+    for path in paths:
+        if path is None or str(path) == "-":
+            continue
+        if path.is_dir():
+            raise RefusedInput(str(path), "is a folder.", "Name a file.")
+        if not path.parent.is_dir():
+            raise RefusedInput(str(path), f"the folder {path.parent} does not exist.", "Make it, or name another.")
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file whole or not at all; '-' is standard output."""
     if str(path) == "-":
         typer.echo(text, nl=False)
         return
-    if not path.parent.is_dir():
-        raise RefusedInput(str(path), f"the folder {path.parent} does not exist.", "Make it, or name another.")
+    check_targets(path)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)

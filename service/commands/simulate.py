@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.options import EpochOption, ProtocolOption, SpeedOption
+from service.commands.options import EpochOption, ProtocolOption, SpeedOption, check_targets
 from service.errors import RefusedInput
 
 if TYPE_CHECKING:
@@ -44,11 +44,18 @@ def simulate(
     """
     if (pty is None) == (out is None):
         raise RefusedInput("simulate", "give either --pty or --out.", "--pty streams frames, --out writes a recording.")
+    check_targets(out, pty, ledger)
+    from simulators.errors import ScenarioError
+
     plan, block = _plan(scenario, model, seed)
-    if out is not None:
-        _write(plan, block, out)
-    elif pty is not None:
-        _stream(plan, block, pty, protocol, speed, epoch, ledger, control)
+    try:
+        if out is not None:
+            _write(plan, block, out)
+        elif pty is not None:
+            _stream(plan, block, pty, protocol, speed, epoch, ledger, control)
+    except ScenarioError as error:
+        place = " with ".join(str(path) for path in (scenario, model) if path is not None) or "simulate"
+        raise RefusedInput(place, f"{error}.", "Correct the scenario or the model.") from None
 
 
 def _plan(scenario: Path | None, model: Path | None, seed: int | None) -> tuple[Scenario, BlockModel]:
