@@ -21,9 +21,6 @@ from service.trials import distances, planted, trials, worth
 from simulators.scenarios import Scenario, demo_model, demo_scenario
 from simulators.simulate import write_calibration
 
-DEFAULT_SEED = 1
-DEFAULT_SPEED = 22.0
-"""Simulated seconds per real second: a pty then holds 0.15 s of the frames, for which a busy machine may be away."""
 START_TIMEOUT_S = 90.0
 """Real seconds that a cold start (first compilation included) may take on a busy machine."""
 RUN_TIMEOUT_S = 1800.0

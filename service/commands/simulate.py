@@ -59,7 +59,7 @@ def simulate(
 
 
 def _plan(scenario: Path | None, model: Path | None, seed: int | None) -> tuple[Scenario, BlockModel]:
-    from service.demo import DEFAULT_SEED
+    from service.commands.demo import DEFAULT_SEED
     from simulators.model_store import ideal_model, load_model
     from simulators.scenarios import demo_model, demo_scenario, read_scenario
 
