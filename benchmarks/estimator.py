@@ -35,6 +35,7 @@ from inertial.documents import BlockModel, ChannelNoise, Noise
 from inertial.earth import Site
 from inertial.error_model import Coefficients
 from inertial.increments import Increments
+from inertial.noise import noise_of_block
 from inertial.optimal import (
     LauncherReference,
     Nodes,
@@ -44,7 +45,7 @@ from inertial.optimal import (
     estimate_nodes,
     node_weights,
     nodes_of,
-    noise_of_run,
+    supported_noise,
 )
 from simulators.scenarios import DEG, DEG_PER_H, MG, Scenario, demo_model, demo_scenario, effect, make_block
 
@@ -208,7 +209,9 @@ def run(task: tuple[Case, int, bool]) -> Outcome:
     error = found.value - truth
     own, own_nees = None, 0.0
     if from_data:
-        noise = noise_of_run(_segments(samples))
+        interval = 1.0 / RATE_HZ
+        noise = noise_of_block(samples["dv"] / interval, samples["dtheta"] / interval, interval)
+        noise = supported_noise(nodes, noise)
         fitted = estimate_nodes(nodes, node_weights(nodes, noise), place, reference, noise, coefficients, priors)
         own = fitted.value - truth
         own_nees = float(own @ np.linalg.solve(fitted.covariance, own))

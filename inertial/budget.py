@@ -105,9 +105,16 @@ class Errors:
         return cls(estimate.order, sources, estimate.unbounded, slope, estimate.gain, estimate.spans_s)
 
     @classmethod
-    def of_covariance(cls, order: Sequence[str], covariance: ArrayLike) -> Errors:
-        """Return a joint covariance of terms, level and azimuth errors as it stands in a result."""
-        return cls(tuple(order), {"terms and reference": np.asarray(covariance)}, _none(order), _slope(order))
+    def of_covariance(
+        cls, order: Sequence[str], covariance: ArrayLike, unbounded: Sequence[Mapping[str, float]] = ()
+    ) -> Errors:
+        """Return a joint covariance of terms, level and azimuth errors as a result holds it.
+
+        ``unbounded``: combinations, weights by name, that nothing bounds.
+        """
+        directions = np.array([[weights.get(name, 0.0) for name in order] for weights in unbounded])
+        joint = {"terms and reference": np.asarray(covariance, dtype=np.float64)}
+        return cls(tuple(order), joint, directions.reshape(-1, len(order)), _slope(order))
 
     @classmethod
     def of_chain(

@@ -32,7 +32,6 @@ from inertial.documents import CHANNELS, ChannelNoise, Noise
 from inertial.earth import EARTH_RATE_RADPS, Site
 from inertial.error_model import Coefficients, Terms, true_from_readings
 from inertial.increment_covariance import integral_covariances
-from inertial.noise import identify_noise, noise_of_block
 from inertial.observability import TERMS, UNSEEN_RAD, Unseen, correlation, name_unseen, unseen_directions
 
 Array = NDArray[np.float64]
@@ -42,6 +41,7 @@ _MOST_NODES = 600
 _SMALLEST_SIGMA_RAD = 1e-9  # an angle "known exactly"; keeps its prior row finite
 _QUIETEST = (1e-7, 1e-10)  # white noise [m/s²/√Hz], [rad/s/√Hz]: no sensor is quieter, and weights need some
 _ITERATIONS = 20
+_SEEN_SIGMA = 3.0
 _BELIEF = "belief in the terms"
 
 
@@ -148,7 +148,8 @@ class OptimalEstimate:
     """What the data and the reference say together.
 
     ``order`` names the unknowns: ``f_x f_y f_z`` [m/s²], ``g_x g_y g_z`` [rad/s], ``level_1 level_2 azimuth``
-    and ``turn_1`` … [rad]. ``value``, ``covariance`` hold what is bounded; ``unbounded`` (u, n) spans what nothing
+    and ``turn_1`` … [rad]. ``prior_sigma`` is what was
+    believed beforehand; ``value``, ``covariance`` hold what is bounded; ``unbounded`` (u, n) spans what nothing
     bounds (empty as a rule). ``sources`` takes the covariance apart by independent cause. ``gain`` (n, 6, m) makes the
     error from the noise integrated over ``spans_s`` (m, 2), for use where later noise hangs on earlier.
     ``C_tb`` (k, 3, 3), ``azimuth_rad``: the reference with the estimated errors taken out, of every attitude in turn;
@@ -161,6 +162,7 @@ class OptimalEstimate:
     terms: Terms
     order: tuple[str, ...]
     value: Array
+    prior_sigma: Array
     covariance: Array
     unbounded: Array
     sources: dict[str, Array]
@@ -190,8 +192,10 @@ class OptimalEstimate:
     @property
     def unseen(self) -> NDArray[np.bool_]:
         """Return which unknowns (n,) nothing but a belief bounds: no honest σ stands beside those."""
-        believed = np.diag(self.sources.get(_BELIEF, np.zeros_like(self.covariance)))
-        return np.asarray(np.isinf(self.sigma) | (believed > 0.5 * np.diag(self.covariance)))
+        sigma = self.sigma
+        believed = np.diag(self.sources.get(_BELIEF, np.zeros_like(self.covariance))) > 0.5 * sigma**2
+        unmoved = sigma > 0.5 * self.prior_sigma
+        return np.asarray(np.isinf(sigma) | (believed & (unmoved | np.isinf(self.prior_sigma))))
 
     @property
     def correlation(self) -> Array:
@@ -236,7 +240,8 @@ def estimate(
     segments
         In time order; those after a turn name it.
     noise
-        Of this block: from its model, or identified from these data (:func:`inertial.noise.noise_of_block`).
+        Of this block: from its model, or ``free``, which says that it was identified from these very data
+        (:func:`inertial.noise.noise_of_block`) and goes through :func:`supported_noise`.
     coefficients
         The laboratory's, eqs (1), (2).
 
@@ -246,6 +251,7 @@ def estimate(
         No segment, or one without samples.
     """
     nodes = nodes_of(segments, coefficients)
+    noise = supported_noise(nodes, noise) if noise.free else noise
     return estimate_nodes(nodes, node_weights(nodes, noise), site, reference, noise, coefficients, priors)
 
 
@@ -259,6 +265,7 @@ def estimate_stages(
 ) -> list[OptimalEstimate]:
     """Return the estimates pooled up to each segment in turn; the last is :func:`estimate` of all."""
     nodes = nodes_of(segments, coefficients)
+    noise = supported_noise(nodes, noise) if noise.free else noise
     return [
         estimate_nodes(
             nodes[: k + 1], node_weights(nodes[: k + 1], noise), site, reference, noise, coefficients, priors
@@ -267,42 +274,42 @@ def estimate_stages(
     ]
 
 
-def noise_of_run(segments: Sequence[Segment]) -> Noise:
-    """Identify the noise from the run itself, at the attitude it stood in longest, fit to weight that run with.
+def supported_noise(nodes: Sequence[Nodes], noise: Noise) -> Noise:
+    """Leave out of noise that was identified from these very data each random walk that they do not clearly show.
 
-    A random walk that the data do not clearly show is left out. Fitted to three minutes it often comes out large by
-    chance, and would then throw away all but the last seconds; left out by mistake it costs little.
+    Fitted to three minutes a walk often comes out large by chance, and would throw away all but the last seconds; left
+    out by mistake it costs little. Kept where the restricted likelihood of the nodes asks for it at 3σ.
     """
-    segment = max(_joined(segments), key=lambda candidate: len(candidate.time_s))
-    interval = segment.interval_s[:, None]
-    readings = np.hstack([segment.dv_mps / interval, segment.dtheta_rad / interval])
-    step = float(np.median(segment.interval_s))
-    found = noise_of_block(readings[:, :3], readings[:, 3:], step)
-    for c, name in enumerate(CHANNELS):
-        channel: ChannelNoise = getattr(found, name)
-        if channel.random_walk and not identify_noise(readings[:, c], step).random_walk.seen:
-            found = found.model_copy(update={name: channel.model_copy(update={"random_walk": 0.0})})
-    return found
+    spans, design = _layout(nodes)
+    integral = np.concatenate([node.integral for node in nodes])
+    changed: dict[str, ChannelNoise] = {}
+    for c, (name, walking) in enumerate(zip(CHANNELS, channel_noises(noise), strict=True)):
+        if walking.random_walk:
+            standing = walking.model_copy(update={"random_walk": 0.0})
+            both = integral_covariances([walking, standing], spans, reference_s=float(spans[-1, 1]))
+            with_walk, without = (_restricted_likelihood(covariance, design, integral[:, c]) for covariance in both)
+            if 2.0 * (with_walk - without) < _SEEN_SIGMA**2:
+                changed[name] = getattr(noise, name).model_copy(update={"random_walk": 0.0})
+    return noise.model_copy(update=changed)
 
 
-def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return the segments with those of one attitude made one, so that a run's stages are one span."""
-    groups: list[list[Segment]] = []
-    for segment in segments:
-        if groups and not segment.turns:
-            groups[-1].append(segment)
-        else:
-            groups.append([segment])
-    return [
-        Segment(
-            np.concatenate([part.time_s for part in group]),
-            np.concatenate([part.dv_mps for part in group]),
-            np.concatenate([part.dtheta_rad for part in group]),
-            np.concatenate([part.interval_s for part in group]),
-            group[0].turns,
-        )
-        for group in groups
-    ]
+def _restricted_likelihood(covariance: Array, design: Array, values: Array) -> float:
+    """Return the log-likelihood of values (m,) with the means of ``design`` (m, k) integrated out (REML)."""
+    factor = np.linalg.cholesky(covariance)
+    white = solve_triangular(factor, np.column_stack([design, values]), lower=True)
+    basis, triangle = np.linalg.qr(white[:, :-1])
+    left = white[:, -1] - basis @ (basis.T @ white[:, -1])
+    size = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.abs(np.diag(triangle))))
+    return float(-0.5 * left @ left - size)
+
+
+def _layout(nodes: Sequence[Nodes]) -> tuple[Array, Array]:
+    """Return spans (m, 2) and design (m, k): the time each node spent in each attitude."""
+    duration = np.concatenate([node.duration_s for node in nodes])
+    attitude = np.repeat(_attitude_index(nodes), [len(node.duration_s) for node in nodes])
+    design = np.zeros((len(duration), int(attitude[-1]) + 1))
+    design[np.arange(len(duration)), attitude] = duration
+    return np.vstack([node.spans_s for node in nodes]), design
 
 
 def nodes_of(segments: Sequence[Segment], coefficients: Coefficients) -> list[Nodes]:
@@ -336,12 +343,8 @@ def _segment_nodes(segment: Segment, coefficients: Coefficients, width_s: float)
 
 def node_weights(nodes: Sequence[Nodes], noise: Noise) -> Weights:
     """Return the weights of these nodes; those of runs alike in time, turns and noise are the same."""
-    spans = np.vstack([node.spans_s for node in nodes])
-    duration = np.concatenate([node.duration_s for node in nodes])
-    attitude = np.repeat(_attitude_index(nodes), [len(node.duration_s) for node in nodes])
+    spans, design = _layout(nodes)
     end = float(spans[-1, 1])
-    design = np.zeros((len(spans), int(attitude[-1]) + 1))
-    design[np.arange(len(spans)), attitude] = duration
     shape = (len(CHANNELS), design.shape[1])
     mean, covariance = np.empty((*shape, len(spans))), np.empty((*shape, shape[1]))
     whiten = np.empty((len(CHANNELS), len(spans), len(spans)))
@@ -417,6 +420,7 @@ def estimate_nodes(
         terms=Terms(value[:3].copy(), value[3:6].copy()),
         order=problem.order,
         value=value,
+        prior_sigma=sigma,
         covariance=covariance,
         unbounded=unbounded,
         sources=sources,

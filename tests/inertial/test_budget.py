@@ -141,6 +141,17 @@ def test_bias_and_tilt_cancel_at_rest_but_not_after_a_turn() -> None:
     assert turned.summary()["radial_m"]["95"] == [None]
 
 
+def test_the_same_from_the_numbers_of_a_result() -> None:
+    found = self_levelled()
+    unbounded = [unseen.weights for unseen in found.unobservable if unseen.bounded_by == "nothing"]
+    errors = Errors.of_covariance(found.order, found.covariance, unbounded)
+    rest = predict(errors, Profile.rest(np.eye(3), 120.0, SITE), SITE, AZIMUTH, found.noise, 120.0)
+    exact = predict(Errors.of_estimate(found), Profile.rest(np.eye(3), 120.0, SITE), SITE, AZIMUTH, found.noise, 120.0)
+    np.testing.assert_allclose(rest.radial_m(0.5), exact.radial_m(0.5), rtol=1e-6)  # white noise: no common past
+    turned = predict(errors, half_turn(120.0), SITE, AZIMUTH, found.noise, 120.0)
+    assert np.isinf(turned.radial_m(0.5)[0])
+
+
 def test_a_believed_bias_shows_after_a_turn_at_its_size() -> None:
     """1 mg ≡ 1 mrad of tilt, turned by 180°: the two add up to 2·γ·tilt."""
     noise = block_noise(ChannelNoise(white=1e-7), ChannelNoise(white=1e-10))

@@ -23,7 +23,6 @@ from inertial.optimal import (
     estimate_nodes,
     estimate_stages,
     node_weights,
-    noise_of_run,
 )
 
 DEG = math.pi / 180.0
@@ -265,13 +264,21 @@ def test_rectified_noise_is_in_the_term_and_counted() -> None:
     assert found.sigma[0] == pytest.approx(math.hypot(expected, noise_only), rel=0.05)
 
 
-def test_noise_found_in_the_run_leaves_out_a_walk_that_is_not_there() -> None:
+def test_a_walk_fitted_by_chance_is_left_out_and_a_real_one_kept() -> None:
     rng = np.random.default_rng(8)
-    for _ in range(4):
-        segments = [still(np.eye(3), start_s=60.0 * k, rng=rng) for k in range(3)]
-        found = noise_of_run(segments)
-        assert found.gyro_x.random_walk == 0.0
-        assert found.gyro_x.white == pytest.approx(ARW, rel=0.1)
+    segments = [still(np.eye(3), start_s=60.0 * k, rng=rng) for k in range(3)]
+    walk = ARW / 5.0  # takes over from the white noise after five seconds
+    suspected = block_noise(gyro=ChannelNoise(white=ARW, random_walk=walk)).model_copy(update={"free": True})
+    reference = LauncherReference(np.eye(3), AZIMUTH, 0.0, 0.0)
+    quiet = estimate(segments, SITE, reference, suspected, Coefficients.ideal())
+    assert quiet.noise.gyro_x.random_walk == 0.0
+    assert quiet.sigma[3] == pytest.approx(ARW / math.sqrt(180.0), rel=1e-3)
+    drift = np.cumsum(rng.standard_normal((1800, 3)), axis=0) * walk * math.sqrt(0.1) * 0.1
+    walking = [
+        Segment(s.time_s, s.dv_mps, s.dtheta_rad + drift[600 * k : 600 * k + 600], s.interval_s)
+        for k, s in enumerate(segments)
+    ]
+    assert estimate(walking, SITE, reference, suspected, Coefficients.ideal()).noise.gyro_x.random_walk == walk
 
 
 def test_no_samples_is_refused() -> None:
