@@ -10,7 +10,7 @@ import pytest
 
 from drivers.recording import read_recording, write_recording
 from drivers.recording_meta import RecordingMeta, TurnMeta
-from inertial.documents import BlockModel, ChannelCoefficients, GyroCoefficients
+from inertial.documents import BlockModel, Calibration, ChannelCoefficients, GyroCoefficients
 from service.compensate import compensate
 from service.errors import RefusedInput
 from service.navigate import navigate_recording
@@ -79,3 +79,24 @@ def test_rows_are_thinned_and_keep_both_ends(tmp_path: Path) -> None:
     assert len(facts["time_s"]) == 201
     assert facts["time_s"][-1] == pytest.approx(20.0)
     assert np.max(np.diff(facts["time_s"])) == pytest.approx(0.1)
+
+
+def test_terms_make_up_for_a_wrong_gyro_coefficient(tmp_path: Path) -> None:
+    """The paper's Table 3: terms found with the y-gyro bias coefficient raised by 80 % navigate to the same place."""
+    scenario, model = demo_scenario(5), demo_model(5)
+    recording = record(scenario.warmed_up().with_motion([], 275.0), model, tmp_path / "run")
+    before = model.calibration.gyro_y.bias_radps
+    raised = model.calibration.gyro_y.model_copy(update={"bias_radps": 1.8 * before})
+    calibration = Calibration(coefficients=model.calibration.model_copy(update={"gyro_y": raised}))
+    (tmp_path / "raised.json").write_text(calibration.canonical_json())
+    block = recording.meta.block.model_copy(update={"calibration": "raised.json"})
+    path = write_recording(tmp_path / "other", recording.samples, recording.meta.model_copy(update={"block": block}))
+    ends = {}
+    for name, one in (("before", recording), ("raised", read_recording(path))):
+        facts = navigate_recording(one, compensate(one))
+        ends[name] = np.array([*facts["position_m"][-1], *facts["velocity_mps"][-1]])
+    uncorrected = navigate_recording(read_recording(path))["radial_m"][-1]
+    moved = np.abs(ends["raised"] - ends["before"])
+    assert np.max(moved[:3]) < 0.01
+    assert np.max(moved[3:]) < 0.001
+    assert uncorrected > 10 * float(np.linalg.norm(ends["raised"][:3]))
