@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS, ChannelNoise, Noise
 from inertial.increments import Increments
-from inertial.noise import noise_of_block
+from inertial.noise import MINIMUM_SAMPLES, noise_of_block
 from service.errors import RefusedInput
 
 Array = NDArray[np.float64]
@@ -41,7 +41,8 @@ def noise_of_span(span: Increments, place: str) -> Noise:
         found = _noise_in_means(span, 1)
         doubtful = [name for index, name in enumerate(CHANNELS) if not _describes(getattr(found, name), span, index)]
         if doubtful:
-            slow = _noise_in_means(span, _rows(span, MEAN_S))
+            # As many means as identification needs at least, where holds have left only short spans.
+            slow = _noise_in_means(span, max(1, min(_rows(span, MEAN_S), len(span) // MINIMUM_SAMPLES)))
             found = found.model_copy(update={name: getattr(slow, name) for name in doubtful})
     except ValueError as error:
         raise RefusedInput(place, f"{error}.", "Record for longer, or give the noise by a block model.") from None

@@ -100,7 +100,9 @@ class SequenceSettings(Section):
     hold_max_s: float = Field(600.0, gt=0)
     hold_max_count: int = Field(20, ge=1)
     restart_max_count: int = Field(3, ge=0)
-    attitude_change_deg: float = Field(0.05, gt=0)
+    same_tilt_deg: float = Field(0.003, gt=0)
+    same_heading_deg: float = Field(0.05, gt=0)
+    carry_deg: float = Field(5.0, ge=0, le=30)
     ready_temperature_change_c: float = Field(2.0, gt=0)
     validity_s: float = Field(1_800.0, gt=0)
 

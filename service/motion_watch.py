@@ -58,9 +58,9 @@ class MotionWatch:
     def _learn(self, samples: SampleArray) -> None:
         self._seen.append(samples)
         rows = self._seen.rows()
-        if rows["time"][-1] - rows["time"][0] < LEARN_S:
-            return
         steps = np.diff(rows["sequence"]).astype(np.int32)
         interval_s = np.diff(rows["time"]) / np.maximum(steps, 1)
+        if interval_s.sum() < LEARN_S:  # not the time that passed: frames may be missing
+            return
         noise = learn_noise(rows["dv"][1:], rows["dtheta"][1:], interval_s)
         self._detector, self._seen = StillnessDetector(noise), SampleBuffer()

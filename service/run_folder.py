@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Sequence
@@ -10,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.recording import Recording, RecordingMeta, write_recording
-from drivers.recording_meta import BlockMeta, ReferenceMeta, SiteMeta, WindowMeta
+from drivers.recording_meta import BlockMeta, ReferenceMeta, SiteMeta, TurnMeta, WindowMeta
 from drivers.samples import SampleArray
 from inertial.documents import WindowRecord
 from service.config import BlockSettings, ReferenceSettings, Settings, SiteSettings
+from service.sequencer import MeasuredTurn
 
 
 class RunFolder:
@@ -68,7 +70,11 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def recording_meta(
-    settings: Settings, reference: ReferenceSettings, samples: SampleArray, windows: Sequence[WindowRecord]
+    settings: Settings,
+    reference: ReferenceSettings,
+    samples: SampleArray,
+    windows: Sequence[WindowRecord] = (),
+    turns: Sequence[MeasuredTurn] = (),
 ) -> RecordingMeta:
     """Return what is known of a run's samples, in the recording's own terms."""
     block = settings.block
@@ -81,6 +87,7 @@ def recording_meta(
             calibration="calibration.json" if block.calibration is not None else None,
             gyro_kind=block.gyro_kind,
         ),
+        motion=[_turn(turn) for turn in turns],
         window=[WindowMeta(kind=one.kind, start_s=one.start_s, end_s=one.end_s) for one in windows],
     )
 
@@ -88,6 +95,19 @@ def recording_meta(
 def measured_rate_hz(samples: SampleArray) -> float:
     """Rate by the block's own clock, the median so that gaps do not count."""
     return float(1 / np.median(np.diff(samples["time"])))
+
+
+def _turn(turn: MeasuredTurn) -> TurnMeta:
+    """Return a measured turn as a recording describes one: about one body axis at an even rate."""
+    angle_rad = float(np.linalg.norm(turn.rotation_rad))
+    return TurnMeta(
+        kind="turn",
+        start_s=turn.start_s,
+        end_s=turn.end_s,
+        rate_dps=math.degrees(angle_rad) / (turn.end_s - turn.start_s),
+        axis=(turn.rotation_rad / angle_rad).tolist(),
+        frame="body",
+    )
 
 
 def _site(site: SiteSettings | None) -> SiteMeta:

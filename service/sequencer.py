@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from drivers.samples import SampleArray, Status
 from inertial.documents import Result, StageTerms, WindowRecord
-from service.attitude_watch import AttitudeWatch
+from service.attitude_watch import AttitudeChange, AttitudeWatch
 from service.buffer import SampleBuffer, frames_lost
 from service.config import SequenceSettings
 from service.monitors import DPH_RADPS, MG_MPS2, OVERRANGE, FlagMonitor, Settled, SettlingMonitor, StuckMonitor
@@ -63,12 +63,22 @@ class AskBlock:
 
 
 @dataclass(frozen=True)
+class MeasuredTurn:
+    """A turn of the block between two windows, as gyros and accelerometers measured it (rotation vector, body)."""
+
+    start_s: float
+    end_s: float
+    rotation_rad: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Have the windows estimated, for progress or (``final``) as the run's result."""
 
     token: int
     run_id: str
     windows: tuple[WindowRecord, ...]
+    turns: tuple[MeasuredTurn, ...]
     samples: SampleArray
     final: bool
 
@@ -90,6 +100,7 @@ class Keep:
 
     run_id: str
     windows: tuple[WindowRecord, ...]
+    turns: tuple[MeasuredTurn, ...]
     samples: SampleArray
 
 
@@ -122,6 +133,7 @@ class RunContext:
     run_id: str
     windows: dict[Name, WindowRecord] = field(default_factory=dict)
     terms: dict[str, StageTerms] = field(default_factory=dict)
+    turns: list[MeasuredTurn] = field(default_factory=list)
     result: Result | None = None
     restarts: int = 0
     holds: int = 0
@@ -164,6 +176,7 @@ class Sequencer:
         self._since_s, self._since_utc = 0.0, utc()
         self._reason, self._detail = reason, ""
         self._held: Name | None = None
+        self._held_from_s = math.nan
         self._run = RunContext(run_id) if run_id is not None else None
         self.orders: deque[Order] = deque()
         self.transitions: deque[TransitionRecord] = deque()
@@ -360,7 +373,7 @@ class Sequencer:
         state = self.state
         if state is Name.POWER_UP or state not in (*PATH, Name.HOLD):
             return
-        if stuck:
+        if stuck and state is not Name.SELF_TEST:  # there the block tells for itself what is wrong with it
             self._give_up("stuck_sensor", f"{', '.join(stuck)} repeated one value for {self._settings.stuck_s:g} s")
         elif flags:
             self._give_up("sensor_invalid", f"the block reports {', '.join(flags)}")
@@ -408,6 +421,7 @@ class Sequencer:
         if self._run is not None:
             self._run.windows.clear()
             self._run.terms.clear()
+            self._run.turns.clear()
         self._ask("identity")
         self._ask("read")
         self._ask("start")
@@ -502,7 +516,9 @@ class Sequencer:
         assert self._run is not None
         if final:
             self._pending.add("final")
-        self.orders.append(Estimate(self._token, self._run.run_id, self._windows(), self.buffer.rows(), final))
+        self.orders.append(
+            Estimate(self._token, self._run.run_id, self._windows(), tuple(self._run.turns), self.buffer.rows(), final)
+        )
 
     def _windows(self) -> tuple[WindowRecord, ...]:
         """The windows of the run that are full, in the order of their use."""
@@ -584,7 +600,7 @@ class Sequencer:
         if held is Name.HOLD:
             return
         self._leave()
-        self._held = held
+        self._held, self._held_from_s = held, self._last_s
         if self._run is not None:
             self._run.holds += 1
             if held is not Name.READY and self._run.holds > self._settings.hold_max_count:
@@ -603,17 +619,37 @@ class Sequencer:
         recent = self.buffer.span(self._last_s - wait_s)
         if frames_lost(recent) > self._settings.lost_fraction * len(recent):
             return
-        if held in WINDOWS and held is not Name.ALIGNING:
-            turned_deg = self._attitude.turned_deg(recent)
-            if turned_deg > self._settings.attitude_change_deg:
-                self._fault(
-                    "attitude_changed",
-                    f"the block stands {turned_deg:.3g}° from where it was aligned "
-                    f"(limit {self._settings.attitude_change_deg:g}°); the reference given no longer describes it",
-                )
-                return
-        self._send("resume", "still_again", f"after {self._reason}")
-        self._enter(held)
+        change = self._attitude.change(recent)
+        if held not in WINDOWS or held is Name.ALIGNING or self._stands_as_aligned(change):
+            self._resume(held, f"after {self._reason}")
+        else:
+            self._carry_or_fault(change)
+
+    def _resume(self, step: Name, detail: str) -> None:
+        self._held = step
+        self._send("resume", "still_again", detail)
+        self._enter(step)
+
+    def _stands_as_aligned(self, change: AttitudeChange) -> bool:
+        limits = self._settings
+        same_heading = change.heading_rad <= math.radians(limits.same_heading_deg) or not change.seen
+        return same_heading and change.tilt_rad <= math.radians(limits.same_tilt_deg)
+
+    def _carry_or_fault(self, change: AttitudeChange) -> None:
+        """Begin again at ALIGNING with the measured turn in the record, where it is small and was seen whole."""
+        assert self._run is not None
+        turned_deg = math.degrees(float(np.linalg.norm(change.rotation_rad)))
+        if change.seen and turned_deg <= self._settings.carry_deg:
+            end_s = self._last_s
+            self._run.turns.append(MeasuredTurn(self._held_from_s, end_s, change.rotation_rad))
+            self._run.windows.clear()
+            self._resume(Name.ALIGNING, f"after {self._reason}; the block was turned by {turned_deg:.3g}°")
+            return
+        why = f"limit {self._settings.carry_deg:g}°" if change.seen else "frames were missing meanwhile"
+        self._fault(
+            "attitude_changed",
+            f"the block stands {turned_deg:.3g}° from where it was aligned ({why}); the reference is no longer true",
+        )
 
     def _fault(self, reason: str, detail: str) -> None:
         self._leave()
@@ -624,7 +660,7 @@ class Sequencer:
         """Have the samples of an unfinished run kept; a finished one has its recording."""
         finished = self.state is Name.READY or (self.state is Name.HOLD and self._held is Name.READY)
         if self._run is not None and not finished and len(self.buffer):
-            self.orders.append(Keep(self._run.run_id, self._windows(), self.buffer.rows()))
+            self.orders.append(Keep(self._run.run_id, self._windows(), tuple(self._run.turns), self.buffer.rows()))
 
     # ------------------------------------------------------------------ common ground
 

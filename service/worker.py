@@ -136,7 +136,7 @@ class Worker:
 
     def _estimate(self, order: Estimate) -> None:
         plan = self._plans[order.run_id]
-        meta = recording_meta(self._settings, plan.reference, order.samples, order.windows)
+        meta = recording_meta(self._settings, plan.reference, order.samples, order.windows, order.turns)
         if order.final:
             recording = plan.folder.write_recording(order.samples, meta)
             self._reply(Reply(order.token, "final", compensate(recording, method=plan.method)))
@@ -168,7 +168,7 @@ class Worker:
     def _keep(self, order: Keep) -> None:
         if len(order.samples) > 1:
             plan = self._plans[order.run_id]
-            meta = recording_meta(self._settings, plan.reference, order.samples, order.windows)
+            meta = recording_meta(self._settings, plan.reference, order.samples, order.windows, order.turns)
             plan.folder.write_recording(order.samples, meta)
 
 

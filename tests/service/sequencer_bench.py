@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from drivers.samples import SampleArray, Status, empty_samples
 from inertial.documents import Noise, Result, Sigma, StageTerms
@@ -75,6 +77,7 @@ class Bench:
         self.temperature_c = 30.0
         self.warming_c_per_s = 0.0
         self.turning_radps = np.zeros(3)
+        self.attitude = Rotation.identity()
         self.lose = 0.0
         self.stuck: int | None = None
         self.alive = True
@@ -95,7 +98,7 @@ class Bench:
         steps = np.arange(1, BATCH + 1)
         samples["time"] = self.device_s + steps / RATE_HZ
         samples["sequence"] = self.sequence + steps
-        samples["dv"] = self.random.normal(0, 1e-5, (BATCH, 3)) + np.array([0, 0, 9.8]) / RATE_HZ
+        samples["dv"] = self.random.normal(0, 1e-7, (BATCH, 3)) + self.up() * 9.8 / RATE_HZ
         samples["dtheta"] = self.random.normal(0, 1e-8, (BATCH, 3)) + self.turning_radps / RATE_HZ
         if self.stuck is not None:
             samples["dtheta"][:, self.stuck] = 1.25e-6
@@ -104,6 +107,19 @@ class Bench:
         samples["status"] = int(self.status)
         self.device_s, self.sequence = float(samples["time"][-1]), int(samples["sequence"][-1])
         return samples[self.random.random(BATCH) >= self.lose]
+
+    def up(self) -> NDArray[np.float64]:
+        """The direction of the specific force in the block, sample by sample, as it turns."""
+        steps = np.arange(1, BATCH + 1)[:, None] / RATE_HZ
+        attitudes = self.attitude * Rotation.from_rotvec(self.turning_radps * steps)
+        self.attitude = attitudes[-1]
+        return np.asarray(attitudes.inv().apply([0.0, 0.0, 1.0]))
+
+    def turn(self, rate_radps: NDArray[np.float64], seconds: float) -> None:
+        """Turn the block about its own axes for a while."""
+        self.turning_radps = rate_radps
+        self.run(seconds)
+        self.turning_radps = np.zeros(3)
 
     def restart_block(self) -> None:
         self.device_s, self.sequence = 0.0, 0

@@ -13,7 +13,10 @@ from http_bench import serving, settings_for
 
 from service.controller import Controller
 
-STATUS_KEYS = ["state", "since", "reason", "run_id", "stage", "progress", "elapsed_s", "remaining_s", "link", "age_s", "fit", "reasons", "allowed"]
+STATUS_KEYS = {
+    *("state", "since", "reason", "run_id", "stage", "progress", "elapsed_s", "remaining_s"),
+    *("link", "age_s", "fit", "reasons", "allowed"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,7 @@ def problem(answer: httpx.Response, status: int) -> dict:
 
 def test_without_configuration_it_is_offline_and_says_what_is_missing(offline: httpx.Client) -> None:
     status = offline.get("/api/v1/status").json()
-    assert set(STATUS_KEYS) <= set(status)
+    assert set(status) >= STATUS_KEYS
     assert (status["state"], status["link"], status["fit"], status["allowed"]) == ("OFFLINE", "DISCONNECTED", False, [])
     assert any("[link] url" in reason for reason in status["reasons"])
     refused = problem(offline.post("/api/v1/runs", json={}), 409)
@@ -248,7 +251,7 @@ def test_events_begin_with_the_status_and_tell_changes(waiting: tuple[Controller
         stream = events_of(response)
         kind, status = next(stream)
         assert kind == "status"
-        assert set(STATUS_KEYS) <= set(status)
+        assert set(status) >= STATUS_KEYS
         while len(controller.hub) == 0:
             time.sleep(0.01)
         run = httpx.post(client.base_url.join("/api/v1/runs"), json={}).json()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sequencer_bench import TERMS, Bench, result
 
 from drivers.samples import Status
@@ -12,6 +13,10 @@ from service.sequencer import NotAllowed, Reply
 from service.states import PATH, RESUMABLE, WINDOWS, Name
 
 WINDOW_STEPS = list(WINDOWS)
+STATUS_KEYS = {
+    *("state", "since", "reason", "run_id", "stage", "progress", "elapsed_s", "remaining_s"),
+    *("link", "age_s", "fit", "reasons", "allowed"),
+}
 
 
 def last(bench: Bench) -> tuple[str, str, str]:
@@ -245,26 +250,68 @@ def test_overrange_holds() -> None:
     assert last(bench) == ("STAGE_3", "HOLD", "overrange")
 
 
-@pytest.mark.parametrize("axis", [0, 2])
-def test_a_block_that_stands_otherwise_after_the_motion_is_a_fault(axis: int) -> None:
-    bench = Bench(attitude_change_deg=0.05).at(Name.STAGE_2)
-    bench.run(5)
+def turn(bench: Bench, rate_dps: float, axis: int, seconds: float) -> None:
     bench.judge.still = False
-    if axis == 2:
-        bench.turning_radps = np.array([0.0, 0.0, np.radians(0.1)])
-        bench.run(3)
-        bench.turning_radps = np.zeros(3)
-        bench.judge.still = True
-        bench.until(Name.FAULT, limit_s=20)
-        assert last(bench) == ("HOLD", "FAULT", "attitude_changed")
-    else:  # a shake that comes back to where it was
-        bench.turning_radps = np.array([np.radians(1.0), 0.0, 0.0])
-        bench.run(3)
-        bench.turning_radps *= -1
-        bench.run(3)
-        bench.turning_radps = np.zeros(3)
-        bench.judge.still = True
-        bench.until(Name.READY)
+    bench.turn(np.radians(rate_dps) * np.eye(3)[axis], seconds)
+
+
+def test_a_shake_that_comes_back_costs_only_the_stage() -> None:
+    bench = Bench().at(Name.STAGE_2)
+    bench.run(5)
+    turn(bench, 1.0, 0, 3)
+    turn(bench, -1.0, 0, 3)
+    bench.judge.still = True
+    bench.until(Name.READY)
+    assert ("HOLD", "STAGE_2", "still_again") in bench.seen
+    assert bench.estimates[-1].turns == ()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_small_turn_is_carried_and_the_run_aligns_again(axis: int) -> None:
+    bench = Bench().at(Name.STAGE_2)
+    bench.run(5)
+    turn(bench, 0.5, axis, 4)
+    bench.judge.still = True
+    bench.until(Name.READY)
+    assert ("HOLD", "ALIGNING", "still_again") in bench.seen
+    assert ("STAGE_1", "STAGE_2", "stage_complete") in bench.seen[
+        bench.seen.index(("HOLD", "ALIGNING", "still_again")) :
+    ]
+    (carried,) = bench.estimates[-1].turns
+    assert np.degrees(carried.rotation_rad) == pytest.approx(2.0 * np.eye(3)[axis], abs=2e-3)
+    windows = bench.estimates[-1].windows
+    assert carried.end_s <= windows[0].start_s
+
+
+def test_a_turn_about_two_axes_is_carried_whole() -> None:
+    bench = Bench().at(Name.STAGE_1)
+    bench.run(5)
+    turn(bench, 0.5, 0, 4)
+    turn(bench, 0.5, 2, 4)
+    bench.judge.still = True
+    bench.until(Name.READY)
+    (carried,) = bench.estimates[-1].turns
+    wanted = Rotation.from_rotvec([np.radians(2), 0, 0]) * Rotation.from_rotvec([0, 0, np.radians(2)])
+    assert np.degrees(carried.rotation_rad) == pytest.approx(np.degrees(wanted.as_rotvec()), abs=2e-3)
+
+
+def test_a_large_turn_is_a_fault() -> None:
+    bench = Bench(carry_deg=5.0).at(Name.STAGE_2)
+    turn(bench, 3.0, 2, 3)
+    bench.judge.still = True
+    bench.until(Name.FAULT)
+    assert last(bench) == ("HOLD", "FAULT", "attitude_changed")
+    assert "9° from where it was aligned (limit 5°)" in bench.details[-1]
+
+
+def test_a_turn_that_nobody_saw_is_a_fault() -> None:
+    bench = Bench().at(Name.STAGE_2)
+    bench.line = "STALE"
+    turn(bench, 0.5, 1, 4)
+    bench.judge.still, bench.line = True, "STREAMING"
+    bench.until(Name.FAULT)
+    assert last(bench) == ("HOLD", "FAULT", "attitude_changed")
+    assert "frames were missing" in bench.details[-1]
 
 
 # ------------------------------------------------------------------ block restarts, stuck sensors, flags
@@ -442,7 +489,6 @@ def test_the_status_has_the_keys_that_consoles_read() -> None:
     bench = Bench(stage_s=60.0).at(Name.STAGE_2)
     bench.run(20)
     status = bench.core.snapshot()
-    names = ["state", "since", "reason", "run_id", "stage", "progress", "elapsed_s", "remaining_s", "link", "age_s", "fit", "reasons", "allowed"]
-    assert set(names) <= set(status)
+    assert STATUS_KEYS <= set(status)
     assert status["progress"] + status["remaining_s"] / 61.0 == pytest.approx(1.0, abs=1e-3)
     assert 0.3 < status["progress"] < 0.36
