@@ -20,7 +20,7 @@ from inertial.documents import BlockModel, ChannelNoise, EffectEntry, Noise
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, Stage, Step, values_of
-from simulators.motion import Setup, Trajectory, Turn
+from simulators.motion import Setup, Trajectory, Turn, vibration_mean_square
 from simulators.noise import Flicker, Quantiser, RateRandomWalk, White, generator
 
 Array = NDArray[np.float64]
@@ -141,23 +141,24 @@ class SimulatedBlock:
         self._trajectory = Trajectory(self.true_setup, self._seed)
 
     def generate(self, count: int) -> SampleArray:
-        """Return the next ``count`` samples, with three temperatures."""
+        """Return the next ``count`` samples, with three temperatures, less those that an effect loses."""
         samples = empty_samples(count, _THERMOMETERS.size)
+        lost = np.zeros(count, dtype=np.bool_)
         for start in range(0, count, _AT_ONCE):
-            self._fill(samples[start : start + _AT_ONCE])
-        return samples
+            self._fill(samples[start : start + _AT_ONCE], lost[start : start + _AT_ONCE])
+        return samples[~lost] if lost.any() else samples
 
-    def _fill(self, samples: SampleArray) -> None:
+    def _fill(self, samples: SampleArray, lost: NDArray[np.bool_]) -> None:
         count = len(samples)
         seen = self._circumstances(count)
         accel, gyro = readings_from_true(seen.accel_mps2, seen.gyro_radps, self._coefficients)
         accel *= seen.interval_s
         gyro *= seen.interval_s
-        readings = Readings(accel, gyro)
+        readings = Readings(accel, gyro, seen.time_s.copy(), lost)
         for _, step in self._steps:
             step(seen, readings)
         samples["sequence"] = (self._next + np.arange(count)).astype(np.uint32)
-        samples["time"] = np.rint(seen.time_s * 1e6) / 1e6
+        samples["time"] = np.rint(readings.time_s * 1e6) / 1e6
         samples["dv"], samples["dtheta"] = readings.dv, readings.dtheta
         samples["temperature"] = seen.temperature_c
         samples["supply"] = seen.supply_v
@@ -172,7 +173,8 @@ class SimulatedBlock:
         rise_c = self._thermal.at(time_s) - self._thermal.start_c
         temperature_c = self._thermal.start_c + rise_c[:, None] * _THERMOMETERS + _THERMOMETER_NOISE_C * normal[:, 1:]
         supply_v = _SUPPLY_V + _SUPPLY_NOISE_V * normal[:, 0]
-        return Circumstances(time_s, interval_s, dv / interval_s, dtheta / interval_s, temperature_c, supply_v)
+        shaken = vibration_mean_square(self._setup, time_s + self._epoch_s - 0.5 * interval_s)
+        return Circumstances(time_s, interval_s, dv / interval_s, dtheta / interval_s, temperature_c, supply_v, shaken)
 
     def _occasion(self, entry: EffectEntry) -> Occasion:
         values = values_of(get_effect(entry.effect), entry)

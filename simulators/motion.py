@@ -131,15 +131,21 @@ class Trajectory:
         ``k = first``. The figures of a sample do not depend on the others asked for with it.
         """
         edges = epoch_s + np.arange(first, first + count + 1) / rate_hz
+        dv, dtheta = self.smooth_increments(edges)
+        for tones in self._vibrations:
+            if edges[-1] > tones.start_s and edges[0] < tones.end_s:
+                dv += np.diff(tones.speed(first, count + 1, rate_hz, epoch_s))[:, None] * tones.axis
+        return dv, dtheta
+
+    def smooth_increments(self, edges: Array) -> tuple[Array, Array]:
+        """Return the same between any edges (n + 1,) [s], without the vibrations: increments (n, 3) each."""
+        count = len(edges) - 1
         dv, dtheta = np.zeros((count, 3)), np.zeros((count, 3))
         for segment in self._segments:
             low = int(np.searchsorted(edges, segment.start_s, "right")) - 1
             high = int(np.searchsorted(edges, segment.end_s, "left"))
             if low < count and high > 0:
                 self._add(segment, edges, max(low, 0), min(high, count), dv, dtheta)
-        for tones in self._vibrations:
-            if edges[-1] > tones.start_s and edges[0] < tones.end_s:
-                dv += np.diff(tones.speed(first, count + 1, rate_hz, epoch_s))[:, None] * tones.axis
         return dv, dtheta
 
     def _add(self, segment: _Segment, edges: Array, low: int, high: int, dv: Array, dtheta: Array) -> None:
@@ -229,6 +235,15 @@ def _accumulate(
         for i in range(3):
             dv[k, i] += after[i, 0] * f[0] + after[i, 1] * f[1] + after[i, 2] * f[2]
             dtheta[k, i] += after[i, 0] * w[0] + after[i, 1] * w[1] + after[i, 2] * w[2] + turning[i] * span
+
+
+def vibration_mean_square(setup: Setup, time_s: Array) -> Array:
+    """Return the mean square (n,) [(m/s²)²] of the vibration planned at times (n,): rms² within each span, else 0."""
+    mean_square = np.zeros(time_s.shape)
+    for motion in setup.motions:
+        if isinstance(motion, Vibration):
+            mean_square[(time_s >= motion.start_s) & (time_s < motion.end_s)] = motion.rms_mps2**2
+    return mean_square
 
 
 class _Tones:

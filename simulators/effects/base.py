@@ -48,11 +48,14 @@ class Stage(IntEnum):
 
 
 class ChannelKind(StrEnum):
-    """What an effect's channel names: one sensor, ``gyro_x<-accel_y``, ``accel`` or ``gyro``, or ``all``."""
+    """What an effect's channel names: one sensor, ``gyro_x<-accel_y``, ``accel`` or ``gyro``, ``all``, or a group:
+    either triad or ``all``.
+    """
 
     SENSOR = "sensor"
     PAIR = "pair"
     TRIAD = "triad"
+    GROUP = "group"
     BLOCK = "block"
 
 
@@ -79,7 +82,8 @@ class Circumstances:
     """What happened to the block over n samples, none of it the sensors' doing. Time is the device's, at interval ends.
 
     ``accel_mps2``, ``gyro_radps`` (n, 3) are the true specific force and inertial rate, mean over each interval;
-    ``temperature_c`` (n, sensors), ``supply_v`` (n,).
+    ``temperature_c`` (n, sensors), of which effects use the first, ``supply_v`` (n,). ``vibration_mps2_squared`` (n,)
+    is the mean square of the vibration that is said to go on, rms² from its start to its end and 0 elsewhere.
     """
 
     time_s: Array
@@ -88,6 +92,7 @@ class Circumstances:
     gyro_radps: Array
     temperature_c: Array
     supply_v: Array
+    vibration_mps2_squared: Array
 
     def true(self, channel: str) -> Array:
         """Return the true input (n,) [y] of one sensor."""
@@ -97,10 +102,15 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Readings:
-    """What the sensors make of it, changed in place: velocity [m/s] and angle [rad] increments (n, 3)."""
+    """What the sensors make of it, changed in place: velocity [m/s] and angle [rad] increments (n, 3).
+
+    ``time_s`` (n,) are the time stamps that the frames will bear; frames marked in ``lost`` (n,) never come.
+    """
 
     dv: Array
     dtheta: Array
+    time_s: Array
+    lost: NDArray[np.bool_]
 
     def of(self, channel: str) -> Array:
         """Return the increments (n,) [y·s] of one sensor, as a view."""
@@ -133,10 +143,31 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     channels: ClassVar[ChannelKind]
     parameters: ClassVar[tuple[Parameter, ...]]
+    acts_on: ClassVar[tuple[str, ...]] = ("accel", "gyro")
+    """Triads whose sensors can have it."""
     shown_by: ClassVar[str]
     """The recording that shows it best."""
     source: ClassVar[str]
     """Where the typical magnitudes come from."""
+
+    def channel_names(self) -> tuple[str, ...]:
+        """Return every channel that this effect can be on."""
+        sensors = tuple(name for name in CHANNELS if name.partition("_")[0] in self.acts_on)
+        match self.channels:
+            case ChannelKind.SENSOR:
+                return sensors
+            case ChannelKind.PAIR:
+                return tuple(f"{on}<-{by}" for on in sensors for by in self.sources(on))
+            case ChannelKind.TRIAD:
+                return self.acts_on
+            case ChannelKind.GROUP:
+                return (*self.acts_on, "all")
+            case ChannelKind.BLOCK:
+                return ("all",)
+
+    def sources(self, sensor: str) -> tuple[str, ...]:
+        """Return what can act on a sensor, for an effect of pairs: the other two of its triad."""
+        return tuple(name for name in CHANNELS if name[:-1] == sensor[:-1] and name != sensor)
 
     def arrange(self, setup: Setup, occasion: Occasion) -> Setup:  # noqa: ARG002
         """Return the true set-up when ``setup`` is what is believed; only effects of the stage SETUP change it."""
@@ -172,6 +203,26 @@ class LinearEffect(Effect):
         return step
 
 
+class SampleEffect(Effect):
+    """Effect on the readings of one sensor, each sample by itself: dead band, saturation and their like."""
+
+    stage = Stage.READOUT
+    channels = ChannelKind.SENSOR
+
+    @abstractmethod
+    def changed(self, reading: Array, values: Mapping[str, float]) -> Array:
+        """Return what becomes of readings (n,) [y]."""
+
+    def begin(self, occasion: Occasion) -> Step:
+        """Change the channel's readings."""
+
+        def step(seen: Circumstances, readings: Readings) -> None:
+            column = readings.of(occasion.channel)
+            column[:] = self.changed(column / seen.interval_s, occasion.values) * seen.interval_s
+
+        return step
+
+
 def target(channel: str) -> str:
     """Return the sensor that a channel ``a`` or a pair ``a<-b`` acts on."""
     return channel.partition("<-")[0]
@@ -183,6 +234,15 @@ _UNITS: dict[str, tuple[str, float]] = {
     "deg/s": ("rad/s", math.radians(1.0)),
     "deg/h": ("rad/s", math.radians(1.0) / 3600.0),
     "deg": ("rad", math.radians(1.0)),
+    "degC": ("degC", 1.0),
+    "mg/K": ("m/s^2/K", 9.80665e-3),
+    "ug/K": ("m/s^2/K", 9.80665e-6),
+    "deg/h/K": ("rad/s/K", math.radians(1.0) / 3600.0),
+    "ppm/K": ("1/K", 1e-6),
+    "deg/h/g": ("rad/s/(m/s^2)", math.radians(1.0) / 3600.0 / 9.80665),
+    "deg/h/g^2": ("rad/s/(m/s^2)^2", math.radians(1.0) / 3600.0 / 9.80665**2),
+    "ug/g^2": ("m/s^2/(m/s^2)^2", 1e-6 / 9.80665),
+    "ms": ("s", 1e-3),
     "ppm": ("1", 1e-6),
     "min": ("s", 60.0),
     "ug/sqrt(Hz)": ("m/s^2/sqrt(Hz)", 9.80665e-6),
@@ -203,8 +263,11 @@ def values_of(effect: Effect, entry: EffectEntry) -> dict[str, float]:
     EffectError
         A channel of another kind, a parameter that is missing or unknown, a unit that does not convert.
     """
-    if not _fits(effect.channels, entry.channel):
-        raise EffectError(f"{entry.effect}: channel {entry.channel!r} is no {effect.channels.value} channel")
+    if entry.channel not in effect.channel_names():
+        known = ", ".join(effect.channel_names())
+        raise EffectError(
+            f"{entry.effect}: channel {entry.channel!r} is no {effect.channels.value} channel of it; it acts on {known}"
+        )
     wanted = {parameter.name: parameter for parameter in effect.parameters}
     for name in entry.parameters:
         if name not in wanted:
@@ -227,16 +290,3 @@ def _in_si(entry: EffectEntry, name: str, given: ParameterValue, unit: str) -> f
             + (f" (or {others})" if others else "")
         )
     return given.value * factor
-
-
-def _fits(kind: ChannelKind, channel: str) -> bool:
-    match kind:
-        case ChannelKind.SENSOR:
-            return channel in CHANNELS
-        case ChannelKind.PAIR:
-            on, arrow, by = channel.partition("<-")
-            return arrow == "<-" and on in CHANNELS and by in CHANNELS and on != by
-        case ChannelKind.TRIAD:
-            return channel in ("accel", "gyro")
-        case ChannelKind.BLOCK:
-            return channel == "all"
