@@ -15,8 +15,8 @@ from inertial.compiled import compiled
 
 Array = NDArray[np.float64]
 
-_RATIO = 4.0  # between neighbouring correlation times: the sum stays within 1 % of 1/f
-_LONGEST_S = 2e4  # beyond a working day the flicker of a run is one more constant
+_RATIO = 4.0  # at most, between neighbouring correlation times: the sum stays within 1 % of 1/f
+_LONGEST_S = 2e4  # what relaxes more slowly than a working day is one more constant
 _SHORTEST_INTERVALS = 0.65  # of the fastest process: keeps the sampled spectrum within 6 % up to half the rate
 _UPDATES = 16.0  # a process is renewed at least so many times within its correlation time
 
@@ -42,18 +42,19 @@ class Flicker:
     """Bias instability of ``coefficient`` B (c,) [y]: two-sided spectrum B²/(2πf), Allan floor √(2 ln 2/π)·B = 0.664·B.
 
     A sum of first-order Gauss–Markov processes whose correlation times τ stand in a constant ratio r: with variance
-    B²·ln r/π each, their Lorentzians add up to B²/(2πf) (∫ 2τ/(1 + (2πfτ)²) d ln τ = 1/(2f)). Slow ones are renewed
+    B²·ln r/π each, their Lorentzians add up to B²/(2πf) (∫ 2τ/(1 + (2πfτ)²) d ln τ = 1/(2f)). Each stands for the
+    times from τ/√r to τ·√r, so the slowest lies √r below the longest time whatever the rate. Slow ones are renewed
     seldom and held between.
     """
 
     def __init__(self, coefficient: ArrayLike, interval_s: float, rng: np.random.Generator) -> None:
         size = np.asarray(coefficient, dtype=np.float64) * interval_s
-        shortest = _SHORTEST_INTERVALS * interval_s
-        count = max(1, math.ceil(math.log(_LONGEST_S / shortest, _RATIO)) + 1)
-        intervals = _SHORTEST_INTERVALS * _RATIO ** np.arange(count)
+        slowest = _LONGEST_S / math.sqrt(_RATIO) / interval_s
+        count = max(2, math.ceil(math.log(slowest / _SHORTEST_INTERVALS, _RATIO)) + 1)
+        intervals = np.geomspace(_SHORTEST_INTERVALS, slowest, count)
         self._every = np.maximum(1, intervals / _UPDATES).astype(np.int64)
         self._decay = np.exp(-self._every / intervals)
-        sigma = np.sqrt(math.log(_RATIO) / math.pi) * size
+        sigma = np.sqrt(math.log(slowest / _SHORTEST_INTERVALS) / (count - 1) / math.pi) * size
         self._kick = np.sqrt(1.0 - self._decay**2)[:, None] * sigma
         self._rng = rng
         self._state = rng.standard_normal((count, size.size)) * sigma
