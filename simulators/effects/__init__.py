@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from simulators.effects.base import Effect, EffectError
 
 ENTRY_POINT_GROUP = "inertrim.effects"
-_NOT_EFFECTS = {"base"}
+_NOT_EFFECTS = {"base", "catalogue"}
 
 
 @cache

@@ -31,7 +31,7 @@ class ClockScale(Effect):
         """Stretch the time stamps."""
 
         def step(seen: Circumstances, readings: Readings) -> None:  # noqa: ARG001
-            readings.time_s *= 1.0 + occasion.values["error"]
+            readings.time_s[:] *= 1.0 + occasion.values["error"]
 
         return step
 

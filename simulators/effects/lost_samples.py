@@ -31,7 +31,7 @@ class LostSamples(Effect):
         """Mark what is lost."""
 
         def step(seen: Circumstances, readings: Readings) -> None:
-            readings.lost |= occasion.rng.random(seen.time_s.size) < occasion.values["fraction"]
+            readings.lost[:] |= occasion.rng.random(seen.time_s.size) < occasion.values["fraction"]
 
         return step
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,21 +11,16 @@ import pytest
 from inertial.attitude import body_to_tangent
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from inertial.earth import STANDARD_GRAVITY_MPS2, Site
-from simulators.block import SimulatedBlock
+from simulators.block import SimulatedBlock, Thermal
 from simulators.effects import effects, get_effect
-from simulators.effects.base import ChannelKind, EffectError, LinearEffect, unit_of, values_of
-from simulators.motion import Setup, Turn
+from simulators.effects.base import EffectError, LinearEffect, unit_of, values_of
+from simulators.effects.catalogue import catalogue
+from simulators.motion import Setup, Turn, Vibration
 from simulators.scenarios import effect
 
 DEG = math.pi / 180
 RATE_HZ = 50.0
 SETUP = Setup(Site.at(0.6, 100.0), 0.7, body_to_tangent(0.1, 0.2, 0.3))
-EXAMPLE_CHANNEL = {
-    ChannelKind.SENSOR: "gyro_y",
-    ChannelKind.PAIR: "gyro_y<-accel_x",
-    ChannelKind.TRIAD: "gyro",
-    ChannelKind.BLOCK: "all",
-}
 
 
 def readings(*entries: EffectEntry, count: int = 3000, setup: Setup = SETUP) -> np.ndarray:
@@ -141,33 +137,52 @@ def test_a_level_error_that_rides_with_the_block_stays() -> None:
     assert tilt_after_half_turn(1.0, "tangent") == pytest.approx([-1e-3, -1e-3], rel=1e-3)
 
 
+EXAMPLE = Setup(
+    SETUP.site,
+    SETUP.azimuth_rad,
+    SETUP.C_tb,
+    (Turn(0.5, 1.5, 2.0, (1.0, 1.0, 1.0), "body"), Vibration(2.0, 3.0, (0.0, 1.0, 0.0), 5.0, (5.0, 20.0))),
+)
+HAPPENS_AT_ONCE = {"time": 0.01, "start": 0.01, "limit": 0.5, "reference": 20.0, "nominal": 24.0, "fraction": 0.2}
+
+
 @pytest.mark.parametrize("name", sorted(effects()))
 def test_every_effect_describes_itself_and_can_be_simulated(name: str) -> None:
     found = get_effect(name)
     assert found.name == name
     assert all(text.strip() for text in (found.text, found.term, found.shown_by, found.source))
-    assert found.parameters
-    channel = EXAMPLE_CHANNEL[found.channels]
-    values = {}
-    for parameter in found.parameters:
-        ranges = parameter.typical
-        typical = ranges.get("any") or ranges[channel.partition("_")[0]]
-        assert typical.low < typical.high
-        value = typical.low if typical.low == 0.0 else typical.high  # whatever has a time happens at once
-        values[parameter.name] = ParameterValue(value=value, unit=unit_of(parameter, channel))
-    entry = EffectEntry(effect=name, channel=channel, parameters=values)
-    assert set(values_of(found, entry)) == set(values)
-    assert not np.array_equal(readings(entry, count=200), readings(count=200))
+    for channel in (found.channel_names()[0], found.channel_names()[-1]):
+        values = {}
+        for parameter in found.parameters:
+            typical = parameter.typical.get("any") or parameter.typical[channel.partition("_")[0]]
+            assert typical.low < typical.high
+            value = HAPPENS_AT_ONCE.get(parameter.name, typical.high)
+            values[parameter.name] = ParameterValue(value=value, unit=unit_of(parameter, channel))
+        entry = EffectEntry(effect=name, channel=channel, parameters=values)
+        assert set(values_of(found, entry)) == set(values)
+        with_it, without = (
+            SimulatedBlock(
+                BlockModel(), EXAMPLE, rate_hz=RATE_HZ, effects=entries, thermal=Thermal(20.0, 40.0, 2.0)
+            ).generate(200)
+            for entries in ([entry], [])
+        )
+        fields = ["sequence", "time", "dv", "dtheta"]
+        assert len(with_it) != len(without) or not all(np.array_equal(with_it[f], without[f]) for f in fields)
     if isinstance(found, LinearEffect):
         assert 1 <= found.amplitudes <= len(found.parameters)
+
+
+def test_the_page_of_effects_is_current() -> None:
+    page = Path(__file__).parents[2] / "docs" / "effects.md"
+    assert page.read_text() == catalogue(), "run: python -m simulators.effects.catalogue > docs/effects.md"
 
 
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
         (effect("no_such", "gyro_x"), "no effect is named 'no_such'"),
-        (effect("bias_shift", "gyro_w", shift=(1.0, "rad/s")), "channel 'gyro_w' is no sensor channel"),
-        (effect("bias_shift", "all", shift=(1.0, "rad/s")), "channel 'all' is no sensor channel"),
+        (effect("bias_shift", "gyro_w", shift=(1.0, "rad/s")), "channel 'gyro_w' is no sensor channel of it"),
+        (effect("bias_shift", "all", shift=(1.0, "rad/s")), "channel 'all' is no sensor channel of it"),
         (effect("bias_shift", "gyro_x"), "'shift' is missing"),
         (effect("bias_shift", "gyro_x", shift=(1.0, "rad/s"), drift=(1.0, "rad/s")), "no parameter 'drift'"),
         (effect("bias_shift", "gyro_x", shift=(1.0, "mg")), r"in 'mg'; give rad/s \(or deg/s, deg/h\)"),
