@@ -14,7 +14,7 @@ files by `python -m simulators.effects.catalogue > docs/effects.md`; change them
 
 `y` stands for m/s^2 on an accelerometer and rad/s on a gyro. *True input* is the specific force or rate along the
 sensor's axis, mean over a sample's interval; *temperature* is the first thermometer's; time is the device's. A sample
-passes the stages in order: set-up (the truth differs from what is stated), sensor (added), noise (added), readout, frame.
+passes the stages in order: set-up (truth differs from what is stated), sensor (added), noise (added), readout, frame.
 """
 
 
