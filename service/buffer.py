@@ -51,5 +51,5 @@ def frames_lost(samples: SampleArray) -> int:
     """Return how many frames the sequence numbers say are missing between the first and the last row."""
     if len(samples) < 2:
         return 0
-    spanned = int(np.uint32(samples["sequence"][-1] - samples["sequence"][0])) + 1
+    spanned = (int(samples["sequence"][-1]) - int(samples["sequence"][0])) % 2**32 + 1
     return spanned - len(samples)

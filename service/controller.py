@@ -23,7 +23,8 @@ from service.recovery import recover
 from service.run_folder import RunFolder
 from service.sequencer import LineView, NotAllowed, Reply, Sequencer
 from service.states import Name
-from service.store import RunRecord, Store, TransitionRecord
+from service.store import RunRecord, Store, TransitionRecord, utc_now
+from service.thinning import Thinner
 from service.warm_up import warm_up
 from service.worker import RunPlan, Worker
 
@@ -31,7 +32,12 @@ log = structlog.get_logger()
 
 SNAPSHOT_EVERY_S = 0.05
 PROGRESS_EVERY_S = 0.5
+SAMPLES_EVERY_S = 0.2
+"""Real seconds between events of each kind."""
+RECORD_AGAIN_S = 1.0
+"""Real seconds before a change of state that the store did not take is offered again."""
 HOST_PATIENCE_S = 5.0
+"""Real seconds that power-up and self-test get at least, however fast simulated time runs."""
 DEAD_AFTER_S = 2.0
 """Real seconds without a sign of life of the acquisition thread after which nothing it said counts."""
 
@@ -73,7 +79,7 @@ class Controller:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
-        self.store = Store(settings.store.path)
+        self.store = Store(settings.store.path, alone=True)
         self.hub = EventHub()
         left = self.store.last_transition()
         self.interrupted = self.store.abort_interrupted()
@@ -88,11 +94,13 @@ class Controller:
         self._lock = threading.RLock()
         self._commands = threading.Lock()
         self._records: queue.SimpleQueue[TransitionRecord | None] = queue.SimpleQueue()
+        self._stopping = threading.Event()
         self._recorder = threading.Thread(target=self._record, name="recorder", daemon=True)
         self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
         self._worker = Worker(settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted)
         self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick)
         self._progress_s = 0.0
+        self._thinner = Thinner(SAMPLES_EVERY_S * self.timebase.speed)
         self._published = publish(self._facts())
 
     # ------------------------------------------------------------------ life
@@ -114,6 +122,7 @@ class Controller:
             self._dispatch()
         self._acquisition.stop()
         self._worker.stop()
+        self._stopping.set()
         self._records.put(None)
         self._recorder.join(10.0)
         self.store.close()
@@ -195,17 +204,26 @@ class Controller:
             raise KeyReused(f"the key {key!r} belongs to run {known}, which was asked for something else") from None
         if not new:
             return record.id, False
+        try:
+            self._begin(record, request)
+        except (OSError, NotAllowed) as error:  # the run is in the store and did not begin: say so there as well
+            end = TransitionRecord("OFFLINE", "ABORTED", "not_started", str(error), 0.0, utc_now(), record.id)
+            self.store.add_transitions([end])
+            raise
         if before is not None:
             self.store.end_run(before.run_id)
+        return record.id, True
+
+    def _begin(self, record: RunRecord, request: dict[str, Any]) -> None:
         folder = RunFolder(self.settings.store.runs, record.id)
         folder.make(self.settings.block)
         self._worker.plan(record.id, RunPlan(record.method, self._reference(request), folder))
-        if self.line is not None:
-            self.line.capture_to(folder.capture)
         with self._lock:
+            self._sequencer.check("start")
+            if self.line is not None:
+                self.line.capture_to(folder.capture)
             self._sequencer.start(record.id, self.timebase.now_s())
             self._dispatch()
-        return record.id, True
 
     def abort_run(self, run_id: str, who: str, why: str = "") -> None:
         """Abort the run in hand.
@@ -263,6 +281,11 @@ class Controller:
     def _on_batch(self, samples: Any, restart: bool) -> None:
         with self._lock:
             self._sequencer.on_batch(samples, self.timebase.now_s(), restart)
+        if len(self.hub) and len(samples):
+            if (facts := self._thinner.feed(samples)) is not None:
+                self.hub.publish("samples", facts)
+        else:
+            self._thinner.clear()
 
     def _on_idle(self) -> None:
         with self._lock:
@@ -311,12 +334,18 @@ class Controller:
         return [command for command in allowed if command != "start"] if self._missing() else allowed
 
     def _record(self) -> None:
-        """Write changes of state to the store, several at once when they come fast."""
+        """Write changes of state to the store; one that cannot be written is tried again until the service ends."""
         while (record := self._records.get()) is not None:
-            try:
-                self.store.add_transitions([record])
-            except Exception:
-                log.exception("store", transition=record.target)
+            while not self._recorded(record) and not self._stopping.wait(RECORD_AGAIN_S):
+                pass
+
+    def _recorded(self, record: TransitionRecord) -> bool:
+        try:
+            self.store.add_transitions([record])
+        except Exception as error:
+            log.error("store", transition=record.target, error=str(error))
+            return False
+        return True
 
 
 def _begin_at(left: dict[str, Any] | None, interrupted: list[str]) -> tuple[Name, str, str | None]:

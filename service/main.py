@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import logging
+import signal
+import socket
 import sys
 
 import structlog
 import uvicorn
 
 from service.api import create_app
-from service.config import ConfigError, Settings
+from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
 from service.store import StoreError
+
+log = structlog.get_logger()
 
 SHUTDOWN_S = 2
 """Real seconds that open event streams get before they are cut."""
@@ -27,6 +31,7 @@ def run_service(settings: Settings) -> None:
     """
     _log_to_stderr()
     check_files(settings)
+    listening = _listen(settings.http)
     try:
         controller = Controller(settings)
     except StoreError as error:
@@ -34,19 +39,38 @@ def run_service(settings: Settings) -> None:
     server = uvicorn.Server(
         uvicorn.Config(
             create_app(controller),
-            host=settings.http.host,
-            port=settings.http.port,
             log_level="warning",
             access_log=False,
             timeout_graceful_shutdown=SHUTDOWN_S,
             lifespan="off",
         )
     )
+    for number in (signal.SIGTERM, signal.SIGINT):
+        # uvicorn ends by its own handlers and raises the signal once more: that must not end us before we have closed.
+        signal.signal(number, _already_ending)
     controller.start()
     try:
-        server.run()
+        server.run([listening])
     finally:
         controller.stop()
+
+
+def _listen(http: HttpSettings) -> socket.socket:
+    """Return the listening socket, taken before anything else so that a port in use stops nothing half-way."""
+    family = socket.AF_INET6 if ":" in http.host else socket.AF_INET
+    try:
+        listening = socket.create_server((http.host, http.port), family=family)
+    except OSError as error:
+        remedy = "Stop what listens there, or set another [http] host and port."
+        raise ConfigError(f"http://{http.host}:{http.port}: {error.strerror or error}. {remedy}") from None
+    host, port = listening.getsockname()[:2]
+    log.info("listening", address=f"http://{host}:{port}/api/v1")
+    return listening
+
+
+def _already_ending(number: int, frame: object) -> None:
+    """Take a signal that the server has obeyed."""
+    del number, frame
 
 
 def check_files(settings: Settings) -> None:

@@ -101,47 +101,39 @@ class SettlingMonitor:
     def __init__(self, window_s: float, temperature_cpmin: float, accel_mps2_pmin: float, gyro_radps_pmin: float):
         self._part_s = window_s / self.PARTS
         self._limits = np.array([accel_mps2_pmin] * 3 + [gyro_radps_pmin] * 3 + [temperature_cpmin])
-        self._parts: list[Vector] = []
-        self._sum = np.zeros(7)
-        self._count = 0
-        self._began_s = math.nan
-        self._last_s = math.nan
+        self._parts: list[Vector]
+        self.reset()
 
     def reset(self) -> None:
         """Begin the window again."""
         self._parts = []
-        self._began_s = self._last_s = math.nan
+        self._origin_s = self._last_s = math.nan
+        self._open(0)
 
     def feed(self, samples: SampleArray) -> Settled:
-        """Take a batch and judge the last full window."""
-        for row_start in self._cut(samples):
-            self._take(samples[row_start])
+        """Take a batch and judge the last full window; a part without any samples begins the window again."""
+        if len(samples) and math.isnan(self._origin_s):
+            self._origin_s = float(samples["time"][0])
+        numbers = np.floor((samples["time"] - self._origin_s) / self._part_s + 1e-9).astype(int)
+        edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(samples)]
+        for first, last in itertools.pairwise(edges):
+            if last > first:
+                self._take(int(numbers[first]), samples[first:last])
         return self._judge()
 
-    def _cut(self, samples: SampleArray) -> list[slice]:
-        """Split a batch where parts of the window end."""
-        if len(samples) == 0:
-            return []
-        if math.isnan(self._began_s):
-            self._open(float(samples["time"][0]))
-        part = np.floor((samples["time"] - self._began_s) / self._part_s)
-        edges = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(samples)]
-        return [slice(a, b) for a, b in itertools.pairwise(edges)]
+    def _open(self, number: int) -> None:
+        self._number, self._sum, self._count = number, np.zeros(7), 0
 
-    def _open(self, time_s: float) -> None:
-        self._began_s, self._sum, self._count = time_s, np.zeros(7), 0
-
-    def _take(self, samples: SampleArray) -> None:
-        if samples["time"][0] >= self._began_s + self._part_s:
-            if self._count:
-                self._parts.append(self._sum / self._count)
-                self._parts = self._parts[-self.PARTS :]
-            self._open(float(samples["time"][0]))
+    def _take(self, number: int, samples: SampleArray) -> None:
+        """Add rows of one part of the window, closing the part before."""
+        if number != self._number:
+            follows = number == self._number + 1 and self._count > 0
+            self._parts = [*self._parts, self._sum / self._count][-self.PARTS :] if follows else []
+            self._open(number)
         interval_s = _typical_interval_s(samples, self._last_s)
         if interval_s is not None:
             temperature = np.nan_to_num(samples["temperature"]).mean(axis=1)
-            rows = np.column_stack([channels(samples) / interval_s, temperature])
-            self._sum += rows.sum(axis=0)
+            self._sum += np.column_stack([channels(samples) / interval_s, temperature]).sum(axis=0)
             self._count += len(samples)
         self._last_s = float(samples["time"][-1])
 

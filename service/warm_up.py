@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ RATE_HZ = 20.0
 SPANS_S = {"align": 10.0, "stage_1": 20.0, "stage_2": 20.0, "stage_3": 20.0, "verify": 20.0}
 
 
+@cache
 def warm_up() -> None:
-    """Take a made-up block through estimation, report and stillness; what comes out is thrown away."""
+    """Take a made-up block through estimation, report and stillness, once a process; what comes out is thrown away."""
     windows, end_s = [], 1.0
     for kind, length_s in SPANS_S.items():
         windows.append(WindowMeta.model_validate({"kind": kind, "start_s": end_s, "end_s": end_s + length_s}))

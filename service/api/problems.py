@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
+from sqlalchemy.exc import DatabaseError
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -112,6 +113,13 @@ def install(app: FastAPI, max_body_bytes: int) -> None:
         return answer(
             422, f"{first['place']}: {first['message']}", "urn:inertrim:problem:invalid-request", errors=errors
         )
+
+    @app.exception_handler(OSError)
+    @app.exception_handler(DatabaseError)
+    async def disk(_request: Request, error: OSError | DatabaseError) -> JSONResponse:
+        reason = str(error.orig if isinstance(error, DatabaseError) else error.strerror)
+        detail = f"The service could not keep what this takes ({reason}). See to its disk, then ask again."
+        return answer(503, detail, "urn:inertrim:problem:store-unavailable")
 
     @app.exception_handler(Exception)
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:

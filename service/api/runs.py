@@ -18,7 +18,7 @@ router = APIRouter(prefix="/runs", tags=["runs"])
 BASE = "/api/v1/runs"
 
 
-@router.post("", status_code=202, responses=responses(400, 409, 413, 422))
+@router.post("", status_code=202, responses=responses(400, 409, 413, 422, 503))
 def start_run(
     body: RunRequest,
     request: Request,

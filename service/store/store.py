@@ -5,6 +5,7 @@ SQLite in WAL mode with ``synchronous=FULL``: a committed transaction survives S
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import secrets
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import alembic.command
 import alembic.config
@@ -71,18 +72,20 @@ def utc_now() -> str:
 class Store:
     """Runs, transitions, results, audit and idempotency keys in one SQLite file.
 
-    Opening makes the file where there is none and brings an older one up to date. Safe to call from any thread.
+    Opening makes the file where there is none and brings an older one up to date. ``alone`` refuses a file that another
+    service has open. Safe to call from any thread.
 
     Raises
     ------
     StoreError
-        The file is not a store, is damaged, or was written by a newer program.
+        The file is not a store, is damaged, was written by a newer program, or is in use.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, alone: bool = False) -> None:
         self.path = path
         if not path.parent.is_dir():
             raise StoreError(f"{path}: the folder does not exist. Make it, or set another store path.")
+        self._lock = _lock(path) if alone else None
         self._engine = create_engine(f"sqlite:///{path}", connect_args={"timeout": 10.0})
         event.listen(self._engine, "connect", _prepare_connection)
         self._sessions: sessionmaker[Session] = sessionmaker(self._engine, expire_on_commit=False)
@@ -95,8 +98,10 @@ class Store:
             raise StoreError(f"{path}: not a usable store ({error.orig}). Restore it, or set another path.") from None
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections and let go of the lock."""
         self._engine.dispose()
+        if self._lock is not None:
+            self._lock.close()
 
     def check(self) -> None:
         """Raise a database error when the store cannot be read."""
@@ -234,6 +239,20 @@ class Store:
         with self._sessions() as session:
             rows = session.scalars(select(Audit).order_by(Audit.id.desc()).limit(limit))
             return [{column.name: getattr(row, column.name) for column in Audit.__table__.columns} for row in rows]
+
+
+def _lock(path: Path) -> IO[bytes]:
+    """Hold ``PATH.lock`` until it is closed or the process ends: two services would abort each other's runs."""
+    try:
+        file = path.with_name(path.name + ".lock").open("ab")
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be used ({error.strerror}). Set a store path that can be written.") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise StoreError(f"{path}: another inertrim uses it. Stop that one, or set another store path.") from None
+    return file
 
 
 def _prepare_connection(connection: Any, _record: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import JSON, ForeignKey, Index, Text
+from sqlalchemy import JSON, Double, ForeignKey, Index, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
@@ -37,7 +37,7 @@ class Transition(Base):
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     run_id: Mapped[str | None] = mapped_column(ForeignKey("runs.id"))
     utc: Mapped[str] = mapped_column(Text)
-    simulated_s: Mapped[float] = mapped_column()
+    simulated_s: Mapped[float] = mapped_column(Double)
     source: Mapped[str] = mapped_column(Text)
     target: Mapped[str] = mapped_column(Text)
     reason: Mapped[str] = mapped_column(Text)

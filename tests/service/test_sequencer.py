@@ -489,6 +489,6 @@ def test_the_status_has_the_keys_that_consoles_read() -> None:
     bench = Bench(stage_s=60.0).at(Name.STAGE_2)
     bench.run(20)
     status = bench.core.snapshot()
-    assert STATUS_KEYS <= set(status)
+    assert set(status) >= STATUS_KEYS
     assert status["progress"] + status["remaining_s"] / 61.0 == pytest.approx(1.0, abs=1e-3)
     assert 0.3 < status["progress"] < 0.36

@@ -32,7 +32,7 @@ def upgrade() -> None:
         sa.Column("id", sa.Integer, primary_key=True, autoincrement=True),
         sa.Column("run_id", sa.Text, sa.ForeignKey("runs.id")),
         sa.Column("utc", sa.Text, nullable=False),
-        sa.Column("simulated_s", sa.Float, nullable=False),
+        sa.Column("simulated_s", sa.Double, nullable=False),
         sa.Column("source", sa.Text, nullable=False),
         sa.Column("target", sa.Text, nullable=False),
         sa.Column("reason", sa.Text, nullable=False),
