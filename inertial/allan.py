@@ -21,6 +21,7 @@ from inertial.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 _BLOCK, _LANES = 2048, 32  # 16 kB: the block and its two shifted copies fit the first-level cache
+_TELLING = 50.0  # degrees of freedom from which neighbouring points show the slope between them
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class AllanCurve:
     ----------
     averaging_s : (k,) averaging times τ [s]
     deviation : (k,) Allan deviation [unit of the readings]
-    freedom : (k,) equivalent degrees of freedom of the variance, for the noise that the local slope shows
+    freedom : (k,) equivalent degrees of freedom of the variance, for the noise that the local slope shows; where few
+        are left to show it, for the noise with the fewest
     terms : (k,) number of second differences averaged
     """
 
@@ -137,15 +139,20 @@ def _mean_squares(x: Array, multiples: npt.NDArray[np.int64]) -> Array:
 
 
 def _freedom(multiples: npt.NDArray[np.int64], points: int, variance: Array) -> Array:
-    """Return equivalent degrees of freedom (NIST SP 1065, table 5) for the noise of the curve's local slope."""
+    """Return equivalent degrees of freedom (NIST SP 1065, table 5) for the noise of the curve's local slope.
+
+    Where the curve is too uncertain to tell a slope, the noise with the fewest is taken.
+    """
     m, n = multiples.astype(np.float64), float(points)
-    if multiples.size > 1 and np.all(variance > 0.0):
-        slope = np.gradient(np.log(variance), np.log(m))
-    else:
-        slope = np.full(m.size, -1.0)
     quantisation = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
     white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
     flicker = np.where(m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 1.25 * n**2 / (m * (n + 3.0 * m)))
-    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2 if n > 3.0 else white
-    choice = np.select([slope < -1.5, slope < -0.5, slope < 0.5], [quantisation, white, flicker], walk)
-    return np.asarray(np.maximum(choice, 1.0))
+    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / max(n - 3.0, 1.0) ** 2
+    fewest = np.minimum(np.minimum(white, flicker), walk)
+    slope = np.zeros(m.size)
+    if m.size > 1:
+        slope[1:] = np.diff(np.log(np.maximum(variance, 1e-300))) / np.diff(np.log(m))
+        slope[0] = slope[1]
+    certain = (fewest >= _TELLING) & (m.size > 1)
+    by_slope = np.select([slope < -1.5, slope < -0.5, slope < 0.5], [quantisation, white, flicker], walk)
+    return np.asarray(np.maximum(np.where(certain, by_slope, fewest), 1.0))

@@ -44,6 +44,7 @@ class ChannelFit:
 
     def __init__(self, spectrum: Spectrum) -> None:
         self._known = np.full(4, np.nan)
+        self._whole_freedom = spectrum.freedom
         self._use(spectrum)
         self.best, self.value = self._global()
         self.rounded = self._rounded()
@@ -67,32 +68,36 @@ class ChannelFit:
         Its error is then no white angle noise, and its step is known from the lattice. It is not Gaussian either, so
         cells count by how much of them is other noise.
         """
-        plain, rounding = self._spectrum, self._spectrum.rounding
+        plain, best, value = self._spectrum, self.best, self.value
+        rounding = plain.rounding
         if rounding is None:
             return None
-        coarse = _COARSE * rounding.step / np.sqrt(plain.interval_s)
-        best, value = self.best, self.value
         self._known[QUANTISATION] = rounding.step**2
+        if self._settle_on_rounding(plain, rounding):
+            whole = (plain.power, plain.single, plain.freedom, self._spectrum.basis, plain.ramp)
+            if evaluate(self.best, *whole)[0] > value - 0.5 * SEEN_SIGMA**2:
+                return _step_of(rounding)
+        self._known[QUANTISATION] = np.nan
+        self._use(plain)
+        self.best, self.value = best, value
+        return None
+
+    def _settle_on_rounding(self, plain: Spectrum, rounding: Rounding) -> bool:
+        """Fit the other terms, the rounding error's spectrum following the white noise; False if it is not coarse."""
+        coarse = _COARSE * rounding.step / np.sqrt(plain.interval_s)
         for _ in range(12):
             white = float(np.sqrt(self.best[WHITE]))
             if white > coarse:
-                break
+                return False
             basis = rounded_basis(plain, max(white, 0.03 * coarse))
             error = basis[:, QUANTISATION] * rounding.step**2
             others = np.maximum(basis[:, WHITE:] @ self.best[WHITE:], 1e-6 * error)
             trust = (others / (others + error)) ** 2
             self._use(replace(plain, basis=basis, freedom=plain.freedom * trust))
-            self.best, _ = self._global()
+            self.best, self.value = self._global()
             if abs(np.sqrt(self.best[WHITE]) - white) < 1e-3 * white:
                 break
-        whole = (plain.power, plain.single, plain.freedom, self._spectrum.basis, plain.ramp)
-        if evaluate(self.best, *whole)[0] < value - 0.5 * SEEN_SIGMA**2:
-            self._known[QUANTISATION] = np.nan
-            self._use(plain)
-            self.best, self.value = best, value
-            return None
-        self.value = evaluate(self.best, *self._cells)[0]
-        return _step_of(rounding)
+        return True
 
     def _misfit(self) -> float:
         """Return the mean deviance of a cell: 1 (1.27 for cells of one coefficient) when the model holds."""
@@ -107,8 +112,11 @@ class ChannelFit:
         to :data:`_MODEL_TRUST`, and what stands out above the fit by more than 2.5 σ of that is set aside (Huber).
         """
         freedom = np.minimum(spectrum.freedom, 2.0 / _MODEL_TRUST**2)
-        floor = np.quantile(spectrum.power[:, None] / spectrum.basis, 0.05, axis=0)
-        tops = [self._clipped(replace(spectrum, freedom=freedom), start) for start in (self.best, floor)]
+        pooled = spectrum.freedom > 3.0
+        if not pooled.any():
+            return
+        floors = np.quantile(spectrum.power[pooled, None] / spectrum.basis[pooled], (0.05, 0.2, 0.5), axis=0)
+        tops = [self._clipped(replace(spectrum, freedom=freedom), start) for start in (self.best, *floors)]
         _, clipped, self.best, self.value = min(tops, key=lambda top: top[0])
         self._use(clipped)
         self.excess = np.maximum(spectrum.power - np.minimum(clipped.power, clipped.basis @ self.best), 0.0)
@@ -193,14 +201,32 @@ class ChannelFit:
         """Return quantisation, white, flicker or random walk."""
         if term == QUANTISATION and self.rounded is not None:
             return self.rounded
-        sharpness = self._sharpness(samples) if term == QUANTISATION else 1.0
+        sharpness = self._sharpness_of_quantisation(samples) if term == QUANTISATION else self._sharpness(term)
         significance = self.significance(term) * sharpness
-        lowest = _root_after_selection(significance)
-        interval = (self.limit(term, lowest / sharpness), self.limit(term, -NORMAL_975 / sharpness))
+        seen = significance >= SEEN_SIGMA
+        low = self.limit(term, _root_after_selection(significance) / sharpness) if seen else 0.0
+        high = self.limit(term, -NORMAL_975 / sharpness)
         sigma = 0.5 * (self.limit(term, -1.0 / sharpness) - self.limit(term, 1.0 / sharpness))
-        return NoiseTerm(float(np.sqrt(self.best[term])), sigma, interval, significance >= SEEN_SIGMA)
+        return NoiseTerm(float(np.sqrt(self.best[term])), sigma, (low, high), seen)
 
-    def _sharpness(self, samples: int) -> float:
+    def _sharpness(self, term: int) -> float:
+        """Return by how much a term is known better than the likelihood says that counts some cells for less.
+
+        It then understates the information H it leaves out, where what it takes has the variance J: H⁻¹ J H⁻¹ < H⁻¹.
+        """
+        free = (self.best > 0.0) & ~(self._known > 0.0)
+        if self.rounded is None or self.excess.any() or not free[term]:
+            return 1.0
+        power, single, freedom, basis, ramp = self._cells
+        scale = np.outer(self.best[free], self.best[free])
+        information = evaluate(self.best, *self._cells)[2][np.ix_(free, free)] * scale
+        trusted = freedom * freedom / self._whole_freedom
+        variance = evaluate(self.best, power, single, trusted, basis, ramp)[2][np.ix_(free, free)] * scale
+        inverse = np.linalg.inv(information)
+        index = int(np.count_nonzero(free[:term]))
+        return float(np.sqrt(inverse[index, index] / (inverse @ variance @ inverse)[index, index]))
+
+    def _sharpness_of_quantisation(self, samples: int) -> float:
         """Return by how much quantisation is known better than Gaussian noise of its size would be.
 
         Rounding errors are uniform: their square scatters less (excess kurtosis −1.2), and the cumulant enters the
@@ -261,7 +287,10 @@ class ChannelFit:
 
     def _amplitudes(self, term: int, unit: float) -> Array:
         """Return a grid of one parameter over all that its likelihood does not exclude by 6 σ."""
-        top = max(unit, 2.0 * self.limit(term, -6.0))
+        low, top = self.limit(term, 6.0), 1.5 * self.limit(term, -6.0)
+        if low > 0.0:
+            return np.geomspace(low, top, 32)
+        top = max(unit, top)
         return np.concatenate([[0.0], np.geomspace(1e-2 * min(unit, top), top, 31)])
 
 
