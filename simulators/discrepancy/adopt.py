@@ -1,0 +1,360 @@
+"""The search: adopt what explains most, beyond chance and beyond what names nothing, until only noise is left.
+
+At each step every hypothesis is scanned at two noise models (the one fitted, and the quiet one in which nothing slow is
+noise); the leaders have their shapes refined and are refitted jointly with the noise, so that a random walk is not sold
+as a drift nor the other way round. The best is adopted if its Bayes factor, less the penalty for all places looked at,
+passes a margin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import idct
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
+from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.whitening import NoiseFit, fit_noise
+from simulators.effects import get_effect
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+MARGIN = 4.5
+"""Bayes factor [nats] beyond the penalty of looking that a name must have."""
+EMPIRICAL_LEAD = 6.0
+"""By how much a curve without a name must beat every name [nats] for the verdict *unknown*."""
+TIE = 3.0
+"""Names whose fit is within so many nats of the best are one answer."""
+MISFIT_SHARE = 0.03
+"""What is left of a named effect below this share of its evidence is its misfit, not another effect."""
+MOST_FINDINGS = 8
+_LEADERS = 9
+_REFINED = 7
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A hypothesis beside those already adopted: joint fit, gain [nats], Bayes factor less the penalty of looking."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    gain: float
+    score: float
+
+
+@dataclass
+class Adopted:
+    """An adopted hypothesis with its rivals at the end, best first."""
+
+    hypothesis: Hypothesis
+    gain: float
+    score: float
+    ties: list[Scored] = field(default_factory=list)
+    rivals: list[Scored] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Outcome: what was adopted, the fit with it, the fit of the noise alone."""
+
+    evidence: Evidence
+    adopted: list[Adopted]
+    fit: Fit
+    bare: Fit
+
+    def of_kind(self, kind: Kind) -> list[Adopted]:
+        """Return what was adopted of one kind."""
+        return [a for a in self.adopted if a.hypothesis.kind is kind]
+
+
+class Searcher:
+    """One search over a library."""
+
+    def __init__(self, evidence: Evidence, progress: Progress | None = None) -> None:
+        self.evidence, self.library = evidence, evidence.library
+        self.progress = progress or _silent
+        names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
+        self.names = float(len(names) + 6)
+
+    def run(self) -> Search:
+        """Search until nothing more passes the margin."""
+        bare = self.evidence.fit([])
+        adopted: list[Hypothesis] = []
+        current = bare
+        while len(adopted) < MOST_FINDINGS:
+            self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
+            best = self._next(current, adopted)
+            if best is None:
+                break
+            adopted.append(best.hypothesis)
+            current = best.fit
+            adopted, current = self._settle(adopted, current, bare)
+        return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
+
+    # one step ----------------------------------------------------------------------------------------------------
+
+    def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
+        scored = self.rank(current, adopted)
+        named = [s for s in scored if s.hypothesis.kind is Kind.NAMED]
+        other = [s for s in scored if s.hypothesis.kind is Kind.REFERENCE]
+        curves = [s for s in scored if s.hypothesis.kind is Kind.EMPIRICAL]
+        best = named[0] if named else None
+        if other and other[0].score > MARGIN and (best is None or other[0].score > best.score + 1.0):
+            best = other[0]
+        curve = curves[0] if curves else None
+        if curve is not None and curve.score > MARGIN + (best.score if best and best.score > MARGIN else 0.0):
+            pair = self._pair(named[:4], adopted, curve)
+            if pair is not None:
+                return pair
+            return curve
+        return best if best is not None and best.score > MARGIN else None
+
+    def _pair(self, named: Sequence[Scored], adopted: Sequence[Hypothesis], curve: Scored) -> Scored | None:
+        """Return the first of two names that together explain as much as a curve does."""
+        for first in named:
+            if first.score < MARGIN:
+                continue
+            seconds = [s for s in self.rank(first.fit, [*adopted, first.hypothesis]) if s.hypothesis.kind is Kind.NAMED]
+            if seconds and seconds[0].score > MARGIN and first.score + seconds[0].score > curve.score - TIE:
+                return first
+        return None
+
+    def rank(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
+        """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted."""
+        leaders = self._leaders(current, adopted)
+        refined = [self._refine(h, current) if place < _REFINED else h for place, h in enumerate(leaders)]
+        scored = [s for h in refined for s in [self._score(h, current, adopted)] if s is not None]
+        return sorted(scored, key=lambda s: -s.score)
+
+    def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Hypothesis]:
+        taken = {h.name for h in adopted if h.effect not in ("sinusoid", "bias_step")}
+        quiet = self.quiet(current)
+        late = self._late(current, quiet)
+        pool = [h for h in self.library.hypotheses if h.name not in taken and max(h.columns) < self.evidence.base]
+        pool += late
+        picked: dict[tuple[str, str], Hypothesis] = {}
+        for noise in (current.noise, quiet):
+            gains = self.evidence.scan(pool, current, noise)
+            scores = np.array(
+                [bayes_factor(g, len(h.columns), self._places(h)) for g, h in zip(gains, pool, strict=True)]
+            )
+            room = {Kind.NAMED: _LEADERS, Kind.REFERENCE: 3, Kind.EMPIRICAL: 3}
+            seen: set[tuple[str, str]] = set()
+            for place in np.argsort(-scores):
+                h = pool[int(place)]
+                if h.name in seen or not room[h.kind] or gains[place] < 2.0:
+                    continue
+                seen.add(h.name)
+                room[h.kind] -= 1
+                picked.setdefault(h.name, h)
+        return sorted(picked.values(), key=lambda h: h.kind is not Kind.NAMED)
+
+    def quiet(self, current: Fit) -> dict[Slot, NoiseFit]:
+        """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
+        noise = {}
+        for slot, rss in current.rss.items():
+            basis, stated = self.evidence.basis[slot], self.evidence.stated[slot]
+            fitted = fit_noise(basis, rss, basis.counts, None, self.evidence.floor[slot], slow=False)
+            if stated is not None and np.median(fitted.power / stated) < 1.5:
+                fitted = replace(fitted, power=stated)
+            noise[slot] = fitted
+        return noise
+
+    def _places(self, hypothesis: Hypothesis) -> float:
+        if hypothesis.kind is not Kind.NAMED:
+            return self.names
+        return self.names * hypothesis.places
+
+    def _score(self, hypothesis: Hypothesis, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
+        ids = [i for h in (*adopted, hypothesis) for i in h.columns]
+        fixed = [i for h in (*adopted, hypothesis) if h.unit_amplitude for i in h.columns]
+        fit = self.evidence.fit(ids, current, fixed)
+        gain = fit.value - current.value
+        if not math.isfinite(gain):
+            return None
+        return Scored(hypothesis, fit, gain, bayes_factor(gain, len(hypothesis.columns), self._places(hypothesis)))
+
+    # shapes ------------------------------------------------------------------------------------------------------
+
+    def _gain(self, hypothesis: Hypothesis | None, current: Fit, noise: dict[Slot, NoiseFit]) -> float:
+        return -math.inf if hypothesis is None else float(self.evidence.scan([hypothesis], current, noise)[0])
+
+    def _refine(self, hypothesis: Hypothesis, current: Fit) -> Hypothesis:
+        """Return the hypothesis at its best shape nearby."""
+        if hypothesis.kind is not Kind.NAMED:
+            return hypothesis
+        noise = self.quiet(current)
+        if hypothesis.chord:
+            return self._chord(hypothesis, current, noise)
+        names = [name for name in hypothesis.shape if name in _WIDTH]
+        if len(names) != 1 or len(hypothesis.shape) != 1:
+            return hypothesis
+        name = names[0]
+        middle = hypothesis.shape[name]
+        relative = name in ("time_constant", "half_width", "limit")
+        width = _WIDTH[name] if not relative else _WIDTH[name]
+        if name == "time":
+            width = 0.6 * self.library.scenes[0].seen.interval_s
+        best, value = hypothesis, self._gain(hypothesis, current, noise)
+        for _ in range(_ZOOMS[name]):
+            for sign in (-1.0, 1.0):
+                at = middle * math.exp(sign * width) if relative else middle + sign * width
+                trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, hypothesis.places)
+                gain = self._gain(trial, current, noise)
+                if trial is not None and gain > value:
+                    best, value = trial, gain
+            middle = best.shape[name]
+            width *= 0.55
+        return best
+
+    def _chord(self, hypothesis: Hypothesis, current: Fit, noise: dict[Slot, NoiseFit]) -> Hypothesis:
+        """Take the column as the chord to the amplitude it is found to have."""
+        for _ in range(3):
+            fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
+            amplitude = float(fit.amplitude[fit.ids.index(hypothesis.columns[0])])
+            largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
+            amplitude = min(max(amplitude, -largest), largest)
+            if abs(amplitude - hypothesis.chord) < 0.02 * abs(hypothesis.chord) or abs(amplitude) < 1e-9:
+                break
+            trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, amplitude)
+            if trial is None or self._gain(trial, current, noise) < self._gain(hypothesis, current, noise) - 1.0:
+                break
+            hypothesis = trial
+        return hypothesis
+
+    def _late(self, current: Fit, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
+        """Return steps and lines where the whitened residual has them, one or two a channel."""
+        late: list[Hypothesis] = []
+        for model in (noise, current.noise):
+            for slot in self.evidence.slots:
+                score = self._whitened_score(slot, current, model)
+                late += self._step(slot, score, model) + self._lines(slot, score, model)
+        return late
+
+    def remainder(self, slot: Slot, fit: Fit) -> Array:
+        """Return cosine coefficients (n,) of what a fit leaves in a slot."""
+        left = self.library.residual[slot].copy()
+        for i, amplitude in zip(fit.ids, fit.amplitude, strict=True):
+            part = self.library.columns[i].parts.get(slot)
+            if part is not None:
+                left -= amplitude * part
+        return left
+
+    def _whitened_score(self, slot: Slot, fit: Fit, noise: dict[Slot, NoiseFit]) -> Array:
+        """Return d ln L / d reading (n,): what any column's product with it says at once."""
+        weight = np.repeat(1.0 / noise[slot].power, self.evidence.basis[slot].counts.astype(np.int64))
+        return np.asarray(idct(weight * self.remainder(slot, fit), norm="ortho")) / self.library.spread[slot]
+
+    def _step(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
+        scene, n = self.library.scenes[slot[0]], len(score)
+        since = np.cumsum(score[::-1])[::-1]
+        trials = np.linspace(0.02, 0.98, 20) * n
+        weight = 1.0 / noise[slot].power
+        sizes = []
+        for start in trials:
+            column = np.zeros(n)
+            column[int(start) :] = 1.0
+            power = np.square(np.asarray(_cosine(column / self.library.spread[slot])))
+            sizes.append(float(weight @ np.add.reduceat(power, self.evidence.basis[slot].bounds[:-1])))
+        where = np.arange(n)
+        gain = since**2 / np.interp(where, trials, sizes)
+        gain[(where < 0.01 * n) | (where > 0.99 * n)] = 0.0
+        best = int(np.argmax(gain))
+        if 0.5 * gain[best] < 4.0:
+            return []
+        time_s = float(scene.data.edges_s[best * scene.group])
+        found = self.library.trial("bias_step", CHANNELS[slot[1]], {"time": time_s}, 200.0)
+        return [] if found is None else [found]
+
+    def _lines(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
+        scene, n = self.library.scenes[slot[0]], len(score)
+        interval = scene.interval_s
+        spectrum = np.abs(np.fft.rfft(score, 2 * n)) ** 2
+        frequency = np.fft.rfftfreq(2 * n, interval)
+        place = np.clip((2.0 * frequency * n * interval).astype(np.int64), 0, n - 1)
+        bins = np.clip(np.searchsorted(self.evidence.basis[slot].bounds, place, "right") - 1, 0, len(noise[slot].power) - 1)
+        gain = spectrum * noise[slot].power[bins] / n
+        gain[frequency < 4.0 / (n * interval)] = 0.0
+        best = int(np.argmax(gain))
+        if gain[best] < math.log(n) + 3.0:
+            return []
+        time_s = (np.arange(n) + 0.5) * interval
+        step = 0.5 / (2 * n * interval)
+        centre = float(frequency[best])
+        for _ in range(5):
+            trials = [centre - step, centre, centre + step]
+            values = [abs(np.exp(-2j * math.pi * f * time_s) @ score) for f in trials]
+            centre = trials[int(np.argmax(values))]
+            step *= 0.5
+        found = self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": centre}, float(n) / 2.0)
+        return [] if found is None else [found]
+
+    # second thoughts -----------------------------------------------------------------------------------------------
+
+    def _fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit) -> Fit:
+        ids = [i for h in hypotheses for i in h.columns]
+        return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
+
+    def _settle(self, adopted: list[Hypothesis], current: Fit, bare: Fit) -> tuple[list[Hypothesis], Fit]:
+        """Drop what the later ones have made needless."""
+        del bare
+        changed = True
+        while changed and len(adopted) > 1:
+            changed = False
+            for place, h in enumerate(adopted[:-1]):
+                rest = adopted[:place] + adopted[place + 1 :]
+                without = self._fit_of(rest, current)
+                gain = current.value - without.value
+                if bayes_factor(gain, len(h.columns), self._places(h)) < 0.5 * MARGIN:
+                    adopted, current, changed = rest, without, True
+                    break
+        return adopted, current
+
+    def _with_rivals(self, adopted: list[Hypothesis], current: Fit) -> list[Adopted]:
+        """Say for each what else could stand in its place, the others present."""
+        out: list[Adopted] = []
+        for place, h in enumerate(adopted):
+            self.progress(0.8 + 0.15 * place / max(len(adopted), 1), f"looking for rivals of {h.effect}")
+            rest = adopted[:place] + adopted[place + 1 :]
+            without = self._fit_of(rest, current)
+            own = self._score(h, without, rest)
+            if own is None:
+                continue
+            ranked = [s for s in self.rank(without, rest) if s.hypothesis.name != h.name]
+            entry = Adopted(h, own.gain, own.score, rivals=ranked[:8])
+            if h.kind is Kind.NAMED:
+                entry.ties = [
+                    s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE
+                ]
+            out.append(entry)
+        return out
+
+
+def _cosine(values: Array) -> Array:
+    from simulators.discrepancy.candidates import to_cosine
+
+    return to_cosine(values)
+
+
+def _silent(share: float, text: str) -> None:
+    del share, text
+
+
+_WIDTH = {"time_constant": 0.5, "half_width": 0.1, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
+_ZOOMS = {"time_constant": 7, "half_width": 6, "limit": 6, "reference": 6, "nominal": 5, "time": 4}
+
+
+def effect_of(hypothesis: Hypothesis) -> object:
+    """Return the definition of a named hypothesis' effect."""
+    return get_effect(hypothesis.effect)
+
+
+def search(library: Library, progress: Progress | None = None) -> Search:
+    """Search a library of scenes."""
+    return Searcher(Evidence(library), progress).run()

@@ -1,0 +1,394 @@
+"""Everything that could explain a residual, as columns: what one unit of it would add to each channel of each scene.
+
+Columns come from the effects' own definitions, at a grid of shapes (time constants, times, limits); set-up effects by
+predicting again. Beside the named effects stand the errors of the reference (timing, angle and axis of each turn, lever
+arm), which explain without naming the block, and a generic basis that names nothing (:mod:`.referee`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene, changed
+from simulators.discrepancy.referee import generic_columns
+from simulators.discrepancy.unsteady import level_spread
+from simulators.effects import effects, get_effect
+from simulators.effects.base import Effect, LinearEffect, Occasion, SampleEffect, Stage
+from simulators.effects.size_effect import SizeEffect
+from simulators.effects.thermal_lag import ThermalLag
+from simulators.motion import Setup, Turn
+
+Array = NDArray[np.float64]
+Slot = tuple[int, int]
+"""A scene and a channel, both counted from 0."""
+
+STEP_TRIALS = 14
+TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
+LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
+DELAY_SAMPLES = (0.5, 2.0, 6.0, 20.0)
+SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3, "clock_scale": 1e-5}
+TILT_RAD = 1e-4
+TIME_S = 1e-4
+ANGLE = 1e-5
+
+
+class Kind(StrEnum):
+    """What a hypothesis explains by: a named effect, an error of the reference, or nothing but a curve."""
+
+    NAMED = "named"
+    REFERENCE = "reference"
+    EMPIRICAL = "empirical"
+
+
+@dataclass(frozen=True)
+class Column:
+    """What one unit adds: the cosine coefficients of each slot it touches."""
+
+    parts: Mapping[Slot, Array]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One explanation: columns (ids) whose amplitudes are to be found, at a fixed shape.
+
+    ``places`` counts the shapes that were or could have been looked at, for the penalty of looking.
+    """
+
+    kind: Kind
+    effect: str
+    channel: str
+    columns: tuple[int, ...]
+    shape: Mapping[str, float] = field(default_factory=dict)
+    places: float = 1.0
+    unit_amplitude: bool = False
+    chord: float = 0.0
+    """Size at which a column that is not quite linear was taken; 0 for linear ones."""
+
+    @property
+    def name(self) -> tuple[str, str]:
+        """Effect and channel."""
+        return self.effect, self.channel
+
+
+def to_cosine(values: Array) -> Array:
+    """Return the orthonormal cosine coefficients (n,)."""
+    return np.asarray(dct(values, norm="ortho"))
+
+
+class Library:
+    """All columns and hypotheses for some scenes."""
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
+        self.scenes = scenes
+        self.residual: dict[Slot, Array] = {}
+        self.spread: dict[Slot, Array] = {}
+        """How much noisier each analysed sample is than those at rest."""
+        for s, scene in enumerate(scenes):
+            for c in range(6):
+                residual, spread = level_spread(scene, c)
+                self.residual[s, c], self.spread[s, c] = to_cosine(residual / spread), spread
+        self.columns: list[Column] = []
+        self.hypotheses: list[Hypothesis] = []
+        self.nuisance: list[tuple[int, float]] = []
+        """Columns that are always in the fit, with their prior σ."""
+        for effect in effects().values():
+            self._add_effect(effect)
+        for index in range(len(scenes)):
+            self._add_reference(index)
+            self._add_nuisance(index)
+        for channel in range(len(CHANNELS)):
+            self._add_generic(channel)
+
+    def add_column(self, raw: Iterable[tuple[Slot, Array]]) -> int | None:
+        """Keep a column given as rates (n,) by slot; none where it has nothing in it."""
+        parts = {}
+        for (scene, channel), values in raw:
+            largest = float(np.max(np.abs(values), initial=0.0))
+            if largest > 1e-280 and np.all(np.isfinite(values)):
+                weighted = self.scenes[scene].analysed(values, channel) / self.spread[scene, channel]
+                parts[scene, channel] = to_cosine(weighted)
+        if not parts:
+            return None
+        self.columns.append(Column(parts))
+        return len(self.columns) - 1
+
+    def add(
+        self,
+        kind: Kind,
+        effect: str,
+        channel: str,
+        raw: Sequence[Sequence[tuple[Slot, Array]]],
+        shape: Mapping[str, float] | None = None,
+        places: float = 1.0,
+        unit_amplitude: bool = False,
+        chord: float = 0.0,
+    ) -> Hypothesis | None:
+        """Keep a hypothesis given as its columns; none where one has nothing in it."""
+        ids = [self.add_column(column) for column in raw]
+        kept = tuple(i for i in ids if i is not None)
+        if not kept or (len(kept) < len(ids) and effect not in _SPARSE):
+            return None
+        hypothesis = Hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord)
+        self.hypotheses.append(hypothesis)
+        return hypothesis
+
+    def trial(self, effect: str, channel: str, shape: Mapping[str, float], places: float) -> Hypothesis | None:
+        """Add one more shape of an effect on sensors."""
+        found = get_effect(effect)
+        raw = self._sensor_columns(found, channel, shape)
+        return self.add(Kind.NAMED, effect, channel, raw, shape, places, isinstance(found, SampleEffect))
+
+    def setup_trial(self, effect: str, channel: str, size: float) -> Hypothesis | None:
+        """Add a set-up effect's column, taken as the chord to ``size`` so that large errors need no small-angle rule."""
+        raw: list[tuple[Slot, Array]] = []
+        for s, scene in enumerate(self.scenes):
+            difference = setup_difference(scene, effect, channel, size) / size
+            raw += [((s, c), difference[:, c]) for c in range(6)]
+        places = float(len(DELAY_SAMPLES)) if effect == "latency" else 1.0
+        return self.add(Kind.NAMED, effect, channel, [raw], {}, places, chord=size)
+
+    def _add_effect(self, effect: Effect) -> None:
+        if isinstance(effect, (LinearEffect, SizeEffect, ThermalLag, SampleEffect)):
+            for channel in effect.channel_names():
+                shapes = self.shapes(effect, channel)
+                for shape in shapes:
+                    places = max(float(len(shapes)), _PLACES.get(effect.name, 1.0))
+                    self.trial(effect.name, channel, shape, places)
+        elif effect.name in SMALL:
+            self.setup_trial(effect.name, "all", SMALL[effect.name])
+        elif effect.name == "latency":
+            step = self.scenes[0].seen.interval_s
+            for channel in effect.channel_names():
+                for factor in DELAY_SAMPLES:
+                    self.setup_trial("latency", channel, factor * step)
+        elif effect.name == "level_error":
+            for rides in (0.0, 1.0):
+                raw = [
+                    [
+                        ((s, c), difference[:, c])
+                        for s, scene in enumerate(self.scenes)
+                        for difference in [_tilted(scene, axis, rides)]
+                        for c in range(6)
+                    ]
+                    for axis in range(2)
+                ]
+                self.add(Kind.NAMED, "level_error", "all", raw, {"rides": rides}, 2.0)
+
+    def shapes(self, effect: Effect, channel: str) -> list[dict[str, float]]:
+        """Return the grid of shapes of an effect."""
+        scene = self.scenes[0]
+        match effect.name:
+            case "bias_step":
+                start, end = float(scene.data.edges_s[0]), float(scene.data.edges_s[-1])
+                inner = np.linspace(start, end, STEP_TRIALS + 2)[1:-1]
+                return [{"time": float(t)} for t in inner]
+            case "turn_on_transient":
+                span = float(scene.data.edges_s[-1] - scene.data.edges_s[0])
+                return [{"time_constant": t} for t in TRANSIENT_S if t < 3.0 * span]
+            case "thermal_lag":
+                return [{"time_constant": t} for t in LAG_S] if self._warms() else []
+            case "bias_temperature" | "scale_temperature":
+                mean = float(np.mean([np.mean(s.seen.temperature_c[:, 0]) for s in self.scenes]))
+                first = float(scene.seen.temperature_c[0, 0])
+                return [{"reference": t} for t in dict.fromkeys((mean, 20.0, 25.0, first))] if self._warms() else []
+            case "supply_sensitivity":
+                volts = [float(np.mean(s.seen.supply_v)) for s in self.scenes]
+                spread = max(float(np.ptp(s.seen.supply_v)) for s in self.scenes)
+                steady = spread < 0.05 or not all(s.supplied for s in self.scenes)
+                return [] if steady else [{"nominal": v} for v in dict.fromkeys((float(np.mean(volts)), 28.0))]
+            case "dead_band":
+                return self._dead_bands(channel)
+            case "saturation":
+                return self._limits(channel)
+            case "sinusoid":
+                return []  # found from the spectrum
+            case _:
+                return [{}]
+
+    def _warms(self) -> bool:
+        ranges = [float(np.ptp(s.seen.temperature_c[:, 0])) for s in self.scenes if s.warm]
+        return len(ranges) == len(self.scenes) and max(ranges) > 0.3
+
+    def _dead_bands(self, channel: str) -> list[dict[str, float]]:
+        """Widths to try: where readings are exactly zero, between the largest input silenced and the next one felt."""
+        column = CHANNELS.index(channel)
+        widths: list[float] = []
+        for scene in self.scenes:
+            silent = scene.measured[:, column] == 0.0
+            inputs = np.abs(scene.predicted[:, column])
+            if silent.sum() >= 3:
+                widths += [float(np.quantile(inputs[silent], q)) for q in (0.5, 0.9, 0.97, 1.0)]
+            low, high = np.quantile(inputs, (0.02, 0.6))
+            if high > 1.3 * low > 0.0:
+                widths += [float(w) for w in np.geomspace(max(low, 1e-3 * high), high, 5)]
+        return [{"half_width": w * 1.0001} for w in dict.fromkeys(widths) if w > 0.0]
+
+    def _limits(self, channel: str) -> list[dict[str, float]]:
+        """Limits to try: where the largest readings stand on one value, and below the largest input."""
+        column = CHANNELS.index(channel)
+        limits: list[float] = []
+        for scene in self.scenes:
+            size = np.abs(scene.measured[:, column])
+            top = float(size.max())
+            if np.sum(size >= top * (1.0 - 1e-6)) >= 4:
+                limits.append(top)
+            inputs = np.abs(scene.predicted[:, column])
+            largest = float(inputs.max())
+            if largest > 1.02 * float(np.median(inputs)):
+                limits += [largest * share for share in (0.995, 0.97, 0.9, 0.75, 0.5)]
+        return [{"limit": limit} for limit in dict.fromkeys(limits) if limit > 0.0]
+
+    def _sensor_columns(
+        self, effect: Effect, channel: str, shape: Mapping[str, float]
+    ) -> list[list[tuple[Slot, Array]]]:
+        on = CHANNELS.index(channel.partition("<-")[0])
+        count = effect.amplitudes if isinstance(effect, (LinearEffect, SizeEffect)) else 1
+        raw: list[list[tuple[Slot, Array]]] = [[] for _ in range(count)]
+        for s, scene in enumerate(self.scenes):
+            if isinstance(effect, SampleEffect):
+                columns = changed(scene, effect.name, channel, shape)[:, on : on + 1]
+            elif isinstance(effect, (LinearEffect, SizeEffect, ThermalLag)):
+                columns = effect.regressors(scene.seen, channel, shape)
+            for k in range(count):
+                raw[k].append(((s, on), columns[:, k]))
+        return raw
+
+    def _add_reference(self, index: int) -> None:
+        scene = self.scenes[index]
+        turns = scene.turns()[:8]
+        if not turns:
+            return
+        timing: list[list[tuple[Slot, Array]]] = []
+        angle: list[list[tuple[Slot, Array]]] = []
+        axis: list[list[tuple[Slot, Array]]] = []
+        for place, turn in turns:
+            size = ANGLE
+            later = replace(turn, end_s=turn.end_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, 0.0, TIME_S))
+            sooner = replace(turn, start_s=turn.start_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, TIME_S, 0.0))
+            faster = replace(turn, rate_radps=turn.rate_radps * (1.0 + size))
+            timing += [_parts(index, scene, _with(scene.setup, place, m), TIME_S) for m in (sooner, later)]
+            angle.append(_parts(index, scene, _with(scene.setup, place, faster), size))
+            unit = np.asarray(turn.axis) / np.linalg.norm(turn.axis)
+            across = np.cross(unit, np.eye(3)[int(np.argmin(np.abs(unit)))])
+            across /= np.linalg.norm(across)
+            for side in (across, np.cross(unit, across)):
+                x, y, z = (float(v) for v in unit + size * side)
+                axis.append(_parts(index, scene, _with(scene.setup, place, replace(turn, axis=(x, y, z))), size))
+        lever = [
+            [((index, c), SizeEffect().regressors(scene.seen, CHANNELS[c], {})[:, k]) for c in range(3)]
+            for k in range(3)
+        ]
+        where = f"recording {index + 1}" if len(self.scenes) > 1 else "all"
+        self.add(Kind.REFERENCE, "turn_timing", where, timing)
+        self.add(Kind.REFERENCE, "turn_angle", where, angle)
+        self.add(Kind.REFERENCE, "turn_timing_and_angle", where, timing + angle)
+        self.add(Kind.REFERENCE, "turn_axis", where, axis)
+        self.add(Kind.REFERENCE, "turn_motion", where, timing + angle + axis)
+        self.add(Kind.REFERENCE, "lever_arm", where, lever)
+
+    def _add_nuisance(self, index: int) -> None:
+        """What the reference itself is unsure of, by its own σ; what it does not give is free."""
+        scene, reference = self.scenes[index], self.scenes[index].recording.meta.reference
+        degree = math.radians(1.0)
+        azimuth = reference.azimuth_sigma_deg if reference.azimuth_deg is not None else 180.0
+        if azimuth:
+            self._always(index, setup_difference(scene, "azimuth_error", "all", 1e-3) / 1e-3, azimuth * degree)
+        level = reference.level_sigma_deg if reference.level_given else 5.0
+        if level:
+            rides = float(reference.level_frame == "body")
+            for axis in range(2):
+                self._always(index, _tilted(scene, axis, rides), level * degree)
+        for place, turn in scene.turns()[:8]:
+            sigma = scene.recording.meta.motion[_place_in_meta(scene, turn)].angle_sigma_deg  # type: ignore[union-attr]
+            if sigma:
+                whole = turn.rate_radps * (turn.end_s - turn.start_s)
+                faster = replace(turn, rate_radps=turn.rate_radps * (1.0 + ANGLE))
+                change = scene.predict(_with(scene.setup, place, faster)) - scene.predicted
+                self._always(index, change / (ANGLE * abs(whole)), sigma * degree)
+
+    def _always(self, index: int, change: Array, sigma: float) -> None:
+        column = self.add_column([((index, c), change[:, c]) for c in range(6)])
+        if column is not None:
+            self.nuisance.append((column, sigma))
+
+    def _add_generic(self, channel: int) -> None:
+        by_name: dict[str, list[tuple[Slot, Array]]] = {}
+        for s, scene in enumerate(self.scenes):
+            for name, values in generic_columns(scene, channel):
+                by_name.setdefault(name, []).append(((s, channel), values))
+        for name, raw in by_name.items():
+            self.add(Kind.EMPIRICAL, name, CHANNELS[channel], [raw])
+
+
+_SPARSE = {
+    "size_effect",
+    "lever_arm",
+    "level_error",
+    "turn_axis",
+    "turn_motion",
+    "turn_timing",
+    "turn_angle",
+    "turn_timing_and_angle",
+}
+"""Hypotheses of which a column may have nothing to say."""
+_PLACES = {"bias_step": 200.0}
+
+
+def _keep(turn: Turn, start_s: float, end_s: float) -> float:
+    """Return the factor of rate that keeps a turn's whole angle when its ends shift."""
+    span = turn.end_s - turn.start_s
+    return span / (span - start_s + end_s)
+
+
+def _with(setup: Setup, place: int, turn: Turn) -> Setup:
+    motions = list(setup.motions)
+    motions[place] = turn
+    for other in (place - 1, place + 1):  # neighbours that touch give way
+        if 0 <= other < len(motions) and isinstance(motions[other], Turn):
+            if other < place and motions[other].end_s > turn.start_s:
+                motions[other] = replace(motions[other], end_s=turn.start_s)
+            if other > place and motions[other].start_s < turn.end_s:
+                motions[other] = replace(motions[other], start_s=turn.end_s)
+    return replace(setup, motions=tuple(motions))
+
+
+def _parts(index: int, scene: Scene, setup: Setup, size: float) -> list[tuple[Slot, Array]]:
+    change = (scene.predict(setup) - scene.predicted) / size
+    return [((index, c), change[:, c]) for c in range(6)]
+
+
+def _place_in_meta(scene: Scene, turn: Turn) -> int:
+    return next(i for i, m in enumerate(scene.recording.meta.motion) if m.start_s == turn.start_s)
+
+
+def _tilted(scene: Scene, axis: int, rides: float) -> Array:
+    values = {"tilt_1": 0.0, "tilt_2": 0.0, "rides": rides}
+    values[f"tilt_{axis + 1}"] = TILT_RAD
+    setup = get_effect("level_error").arrange(scene.setup, Occasion("all", values, 1.0))
+    return (scene.predict(setup) - scene.predicted) / TILT_RAD
+
+
+def setup_difference(scene: Scene, effect: str, channel: str, size: float) -> Array:
+    """Return what an error of ``size`` in set-up or timing makes of the prediction, less it (n, 6)."""
+    found = get_effect(effect)
+    edges = scene.data.edges_s
+    if effect == "latency":
+        change = scene.predict(scene.setup, edges - size) - scene.predicted
+        if channel == "accel":
+            change[:, 3:] = 0.0
+        elif channel == "gyro":
+            change[:, :3] = 0.0
+        return change
+    if effect == "clock_scale":
+        return scene.predict(scene.setup, edges / (1.0 + size)) - scene.predicted
+    assert found.stage is Stage.SETUP
+    setup = found.arrange(scene.setup, Occasion(channel, {found.parameters[0].name: size}, 1.0))
+    return scene.predict(setup) - scene.predicted

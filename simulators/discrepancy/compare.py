@@ -1,0 +1,234 @@
+"""What the model predicts for a recording's own circumstances, and what is left of the measurement.
+
+The prediction uses the recording's site, reference, motions and temperatures. A vibration is random: its course is
+taken from the accelerometers themselves, so that what else it drives can be predicted; along its own axis it is
+compared in its mean alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from drivers.recording import Recording, RecordingError
+from inertial.documents import BlockModel, EffectEntry
+from inertial.error_model import Coefficients, readings_from_true
+from simulators.discrepancy.repair import Repaired, fill, repair
+from simulators.effects import get_effect
+from simulators.effects.base import Circumstances, Occasion, Readings, Stage, values_of
+from simulators.motion import Setup, Trajectory, Turn, Vibration, vibration_mean_square
+from simulators.scenarios import Scenario, ScenarioMeta, believed_setup
+
+Array = NDArray[np.float64]
+
+MOST_SAMPLES = 60_000
+"""Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
+_THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One recording as it is compared: n samples, six channels.
+
+    ``setup`` is what is believed; ``seen`` the circumstances by that belief; ``predicted``, ``measured`` (n, 6) [y];
+    ``shaken`` (n, 3) the vibration
+    [m/s²]; ``group`` how many samples are averaged to one before analysis.
+    """
+
+    recording: Recording
+    data: Repaired
+    setup: Setup
+    seen: Circumstances
+    predicted: Array
+    measured: Array
+    shaken: Array
+    model: BlockModel
+    group: int
+
+    @property
+    def time_s(self) -> Array:
+        """Device time at the end of every sample (n,)."""
+        return self.data.edges_s[1:]
+
+    @property
+    def interval_s(self) -> float:
+        """Mean interval of a sample as analysed."""
+        return self.seen.interval_s * self.group
+
+    def analysed(self, rates: Array, column: int) -> Array:
+        """Return rates (n,) of a channel as they are analysed: without what was not measured, averaged in groups."""
+        filled = fill(rates, self.data.missing[:, column])
+        if self.group == 1:
+            return filled
+        whole = len(filled) // self.group * self.group
+        return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
+
+    @property
+    def warm(self) -> bool:
+        """Whether there is a thermometer."""
+        return bool(np.isfinite(self.data.temperature_c).all())
+
+    @property
+    def supplied(self) -> bool:
+        """Whether the supply was measured."""
+        return bool(np.isfinite(self.data.supply_v).all())
+
+    def turns(self) -> list[tuple[int, Turn]]:
+        """Return the turns within the data, with their place among the motions."""
+        start, end = self.data.edges_s[0], self.data.edges_s[-1]
+        return [
+            (index, motion)
+            for index, motion in enumerate(self.setup.motions)
+            if isinstance(motion, Turn) and motion.end_s > start and motion.start_s < end and motion.rate_radps != 0.0
+        ]
+
+    def shaking(self) -> NDArray[np.bool_]:
+        """Return where a vibration goes on (n,)."""
+        return self.seen.vibration_mps2_squared > 0.0
+
+    def predict(self, setup: Setup, edges_s: Array | None = None, device_s: Array | None = None) -> Array:
+        """Return the readings (n, 6) for another set-up, between other true times, over other intervals."""
+        seen = self._seen(setup, self.data.edges_s if edges_s is None else edges_s, device_s)
+        return _readings(self.model, seen)
+
+    def _seen(self, setup: Setup, edges_s: Array, device_s: Array | None) -> Circumstances:
+        accel, gyro = true_rates(setup, edges_s, np.diff(self.data.edges_s) if device_s is None else device_s)
+        accel += self.shaken
+        return replace(self.seen, accel_mps2=accel, gyro_radps=gyro)
+
+
+def true_rates(setup: Setup, edges_s: Array, interval_s: Array) -> tuple[Array, Array]:
+    """Return mean specific force and rate (n, 3) between the edges, vibrations left out, per device interval."""
+    dv, dtheta = Trajectory(setup).smooth_increments(edges_s)
+    return dv / interval_s[:, None], dtheta / interval_s[:, None]
+
+
+def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SAMPLES) -> Scene:
+    """Predict a recording by a model; of one with more samples than ``most_samples``, means are analysed.
+
+    Raises
+    ------
+    RecordingError
+        The site lacks its latitude.
+    ScenarioError
+        The model or the motions cannot be simulated.
+    """
+    recording.require("site.latitude_deg")
+    data = repair(recording.samples)
+    if len(data.edges_s) < 200:
+        raise RecordingError(
+            recording.path, "", f"holds {len(recording.samples)} samples", "Give two hundred or more to compare"
+        )
+    meta = recording.meta
+    scenario = Scenario(
+        site=meta.site, reference=meta.reference, block=meta.block, motion=meta.motion, scenario=ScenarioMeta()
+    )
+    setup = believed_setup(scenario)
+    if not meta.reference.level_given:
+        setup = _levelled(setup, data)
+    for entry in model.effects:
+        effect = get_effect(entry.effect)
+        if effect.stage is Stage.SETUP:
+            setup = effect.arrange(setup, Occasion(entry.channel, values_of(effect, entry), 1.0))
+    interval = np.diff(data.edges_s)
+    step = float(interval.mean())
+    accel, gyro = true_rates(setup, data.edges_s, interval)
+    smooth = max(1, round(_THERMOMETER_S / step))
+    temperature = np.nan_to_num(data.temperature_c, nan=20.0)
+    seen = Circumstances(
+        data.edges_s[1:],
+        step,
+        accel,
+        gyro,
+        uniform_filter1d(temperature, smooth, mode="nearest")[:, None],
+        np.nan_to_num(data.supply_v),
+        vibration_mean_square(setup, data.edges_s[1:] - 0.5 * step),
+    )
+    predicted = _readings(model, seen)
+    measured = data.rate.copy()
+    shaken = _shaken(setup, seen, measured - predicted)
+    if shaken is not None:
+        seen = replace(seen, accel_mps2=accel + shaken)
+        predicted = _readings(model, seen)
+    group = -(-len(interval) // most_samples)
+    return Scene(
+        recording,
+        data,
+        setup,
+        seen,
+        predicted,
+        measured,
+        np.zeros_like(accel) if shaken is None else shaken,
+        model,
+        group,
+    )
+
+
+def _levelled(setup: Setup, data: Repaired) -> Setup:
+    """Return the set-up with roll and pitch from the accelerometers' first ten seconds, where no level was given."""
+    few = max(10, int(10.0 / np.diff(data.edges_s).mean()))
+    for motion in setup.motions:
+        few = min(few, max(10, int(np.searchsorted(data.edges_s, motion.start_s))))
+    up = np.median(data.rate[:few, :3], axis=0)
+    if not np.linalg.norm(up) > 1.0:
+        return setup
+    up = up / np.linalg.norm(up)
+    forward = setup.C_tb[0] - up * (setup.C_tb[0] @ up)
+    forward /= np.linalg.norm(forward)
+    return replace(setup, C_tb=np.array([forward, np.cross(up, forward), up]))
+
+
+def _shaken(setup: Setup, seen: Circumstances, residual: Array) -> Array | None:
+    """Return the vibration (n, 3) [m/s²] as the accelerometers saw it along its axis, its slow part left out."""
+    if not np.any(seen.vibration_mps2_squared):
+        return None
+    shaken = np.zeros((len(residual), 3))
+    for motion in setup.motions:
+        if not isinstance(motion, Vibration):
+            continue
+        rows = (seen.time_s > motion.start_s) & (seen.time_s <= motion.end_s + seen.interval_s)
+        if rows.sum() < 4:
+            continue
+        axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
+        along = residual[rows][:, :3] @ axis
+        shaken[rows] = np.outer(along - along.mean(), axis)
+    return shaken
+
+
+def _readings(model: BlockModel, seen: Circumstances) -> Array:
+    """Return the model's noiseless readings (n, 6): calibration and its own effects but noise."""
+    coefficients = Coefficients.from_document(model.calibration)
+    accel, gyro = readings_from_true(seen.accel_mps2, seen.gyro_radps, coefficients)
+    readings = Readings(
+        accel * seen.interval_s, gyro * seen.interval_s, seen.time_s.copy(), np.zeros(len(accel), dtype=np.bool_)
+    )
+    for entry in sorted(model.effects, key=lambda entry: get_effect(entry.effect).stage):
+        _apply(entry, seen, readings)
+    return np.hstack([readings.dv, readings.dtheta]) / seen.interval_s
+
+
+def _apply(entry: EffectEntry, seen: Circumstances, readings: Readings) -> None:
+    effect = get_effect(entry.effect)
+    random_or_lost = effect.stage in (Stage.SETUP, Stage.NOISE) or entry.effect in RANDOM
+    if not random_or_lost:
+        effect.begin(Occasion(entry.channel, values_of(effect, entry), seen.interval_s))(seen, readings)
+
+
+RANDOM = frozenset({"quantisation", "lost_samples", "stuck_samples"})
+"""Effects of readout and frame that are no prediction but noise or loss."""
+
+
+def changed(scene: Scene, effect: str, channel: str, values: Mapping[str, float]) -> Array:
+    """Return what an effect of readout or frame would make of the noiseless prediction, less it (n, 6)."""
+    readings = Readings(
+        scene.predicted[:, :3] * scene.seen.interval_s,
+        scene.predicted[:, 3:] * scene.seen.interval_s,
+        scene.time_s.copy(),
+        np.zeros(len(scene.predicted), dtype=np.bool_),
+    )
+    get_effect(effect).begin(Occasion(channel, values, scene.seen.interval_s))(scene.seen, readings)
+    return np.asarray(np.hstack([readings.dv, readings.dtheta]) / scene.seen.interval_s - scene.predicted)

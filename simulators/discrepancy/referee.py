@@ -1,0 +1,61 @@
+"""A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
+
+Smooth functions of time, temperature, the sensor's own input, products of inputs, and memory of the input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from simulators.discrepancy.compare import Scene
+
+Array = NDArray[np.float64]
+
+_MEMORY_S = (1.5, 6.0, 25.0)
+_NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
+
+
+def generic_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
+    """Yield name and values (n,) of every generic function for a channel."""
+    seen = scene.seen
+    n = seen.time_s.size
+    phase = np.pi * (np.arange(n) + 0.5) / n
+    for k in range(1, 9):
+        yield f"cos {k}/2 of the span", np.cos(k * phase)
+    inputs = np.hstack([seen.accel_mps2, seen.gyro_radps])
+    own = inputs[:, channel]
+    largest = float(np.max(np.abs(own)))
+    if largest > 0.0 and float(np.ptp(own)) > 1e-6 * largest:
+        unit = own / largest
+        yield "input^4", unit**4
+        yield "input^5", unit**5
+        yield "input^7", unit**7
+        yield "sign of input", np.tanh(50.0 * unit)
+        yield "root of input", np.sign(unit) * np.sqrt(np.abs(unit))
+        yield "bend of input at a tenth", np.tanh(10.0 * unit)
+        for span in _MEMORY_S:
+            decay = float(np.exp(-seen.interval_s / span))
+            past, _ = lfilter([1.0 - decay], [1.0, -decay], unit, zi=np.array([decay * unit[0]]))
+            yield f"memory of input, {span:g} s", past - unit
+    if scene.warm and np.ptp(seen.temperature_c[:, 0]) > 0.3:
+        warmth = seen.temperature_c[:, 0] - seen.temperature_c[:, 0].mean()
+        warmth = warmth / np.max(np.abs(warmth))
+        yield "temperature^2", warmth**2
+        yield "temperature^3", warmth**3
+        yield "temperature slope", np.gradient(warmth)
+        yield "temperature x time", warmth * np.cos(phase)
+    sizes = np.max(np.abs(inputs), axis=0)
+    for i in range(6):
+        for j in range(i + 1, 6):
+            if (
+                sizes[i] > 0
+                and sizes[j] > 0
+                and (np.ptp(inputs[:, i]) > 1e-3 * sizes[i]) | (np.ptp(inputs[:, j]) > 1e-3 * sizes[j])
+            ):
+                yield f"{_NAMES[i]} x {_NAMES[j]}", inputs[:, i] * inputs[:, j] / (sizes[i] * sizes[j])
+    if largest > 0.0 and np.ptp(own) > 1e-3 * largest:
+        yield "input x time", own / largest * np.cos(phase)

@@ -1,0 +1,81 @@
+"""Noise that is not the same all the time: larger while the block turns, and hidden where it is shaken.
+
+A sample that is noisier than those at rest is weighed down before anything is fitted. Along the axis of a vibration
+only the mean is compared; the noise that this takes away is put back from the record's own stretch at rest, so that
+the rest of the analysis may take the noise to be the same throughout.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.discrepancy.compare import Scene
+from simulators.motion import Vibration
+
+Array = NDArray[np.float64]
+
+_BLOCK_S = 0.5  # noise of this time scale is looked at beside that of single samples
+_EDGE_S = 0.3  # about the ends of a turn, where timing errors look like noise
+_SIGNIFICANT = 1.35
+_FEWEST = 24
+
+
+def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
+    """Return residual (n,) [y] as analysed, and by how much its noise exceeds that at rest (n,), 1 or more."""
+    raw = scene.measured[:, channel] - scene.predicted[:, channel]
+    residual = scene.analysed(raw, channel)
+    spread = np.ones(len(residual))
+    still, moving = _regimes(scene, len(residual))
+    if not any(rows.any() for rows in moving):
+        return residual, spread
+    quiet = residual[still] if still.sum() >= _FEWEST else residual
+    residual = residual + _hidden_noise(scene, channel, quiet, len(residual))
+    for rows in moving:
+        if rows.sum() < _FEWEST or still.sum() < _FEWEST:
+            continue
+        ratios = []
+        for block in (1, max(1, round(_BLOCK_S / scene.interval_s))):
+            calm, busy = _noise(residual, still, block), _noise(residual, rows, block)
+            if calm is not None and busy is not None and calm > 0.0:
+                ratios.append(busy / calm)
+        if ratios and max(ratios) > _SIGNIFICANT:
+            spread[rows] = max(ratios)
+    return residual, spread
+
+
+def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
+    """Return where the block stands still, and where it turns and where it is shaken, as analysed."""
+    time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
+    turning = np.zeros(n, dtype=np.bool_)
+    edge = np.zeros(n, dtype=np.bool_)
+    for _, turn in scene.turns():
+        turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
+        for end in (turn.start_s, turn.end_s):
+            edge |= np.abs(time_s - end) < _EDGE_S
+    shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
+    return ~(turning | shaking | edge), [turning & ~edge, shaking & ~edge]
+
+
+def _noise(values: Array, rows: NDArray[np.bool_], block: int) -> float | None:
+    """Return the noise of block means from their second differences, as a median resistant to what is systematic."""
+    kept = values[rows]
+    if len(kept) < _FEWEST * block:
+        return None
+    means = kept[: len(kept) // block * block].reshape(-1, block).mean(axis=1)
+    return float(np.median(np.abs(np.diff(means, 2))))
+
+
+def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
+    """Return noise (n,) of the kind at rest, where the vibration's own course has been taken out along with it."""
+    put_back = np.zeros(n)
+    if channel >= 3:
+        return put_back
+    shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
+    fast = np.diff(quiet, append=quiet[-1]) / np.sqrt(2.0)
+    source = np.resize(fast[::-1], n)
+    for motion in scene.setup.motions:
+        if isinstance(motion, Vibration):
+            axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
+            put_back[shaking] = abs(float(axis[channel])) * source[shaking]
+    return put_back

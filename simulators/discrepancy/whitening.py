@@ -1,0 +1,159 @@
+"""Coloured noise of one channel in the cosine basis, where its covariance is nearly diagonal, and its fit.
+
+The family is wide: white, quantisation, random walk of the rate, and first-order Gauss–Markov processes whose
+correlation times stand in a constant ratio, so that their sum takes the shape of flicker or of a single process of any
+correlation time. Each term's power in each bin of coefficients is linear in its variance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inertial.compiled import compiled
+from inertial.documents import ChannelNoise
+
+Array = NDArray[np.float64]
+
+_SINGLE = 40
+_RATIO = 1.2
+_GM_RATIO = 3.5
+_MEAN = 0.55  # the frequency, in coefficients, at which the mean's variance equals that of a random walk's
+STATED, WHITE, WIDE = range(3)
+"""Levels of the noise family: as the model states; white and quantisation free; all free."""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms)."""
+
+    bounds: NDArray[np.int64]
+    counts: Array
+    power: Array
+    names: tuple[str, ...]
+    n: int
+    interval_s: float
+
+    @property
+    def frequency_hz(self) -> Array:
+        """Middle of each bin."""
+        middle = 0.5 * (self.bounds[:-1] + self.bounds[1:] - 1)
+        return np.asarray(middle / (2.0 * self.n * self.interval_s))
+
+    def stated(self, noise: ChannelNoise, floor: float) -> Array:
+        """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame."""
+        x = self._x()
+        tau = self.interval_s
+        flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency())
+        return np.asarray(
+            noise.white**2 / tau
+            + (noise.quantisation**2 + floor**2) / 12.0 * 4.0 * (np.sin(x) ** 2 + 1.0 / self.n) / tau**2
+            + flicker
+            + noise.random_walk**2 * tau * (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / (4.0 * np.sin(x) ** 2)
+        )
+
+    def _x(self) -> Array:
+        middle = np.maximum(0.5 * (self.bounds[:-1] + self.bounds[1:] - 1), _MEAN)
+        return np.asarray(0.5 * math.pi * middle / self.n)
+
+    def _frequency(self) -> Array:
+        return np.asarray(self._x() / (math.pi * self.interval_s))
+
+
+@lru_cache(maxsize=64)
+def cosine_basis(n: int, interval_s: float) -> Basis:
+    """Return the bins of n coefficients, the lowest one by one, and the family's power in them."""
+    single = min(_SINGLE, n)
+    steps = max(2, math.ceil(math.log(n / single) / math.log(_RATIO)) + 1)
+    bounds = np.unique(np.concatenate([np.arange(single), np.round(np.geomspace(single, n, steps)).astype(np.int64)]))
+    middle = np.maximum(0.5 * (bounds[:-1] + bounds[1:] - 1), _MEAN)
+    x = 0.5 * math.pi * middle / n
+    sine2 = np.sin(x) ** 2
+    columns = [np.ones_like(x), 4.0 * (sine2 + 1.0 / n), (1.0 - 2.0 / 3.0 * sine2) / (4.0 * sine2)]
+    names = ["white", "quantisation", "random_walk"]
+    correlation = 2.0
+    while correlation < n / 8:
+        decay = math.exp(-1.0 / correlation)
+        columns.append((1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2))
+        names.append(f"markov {correlation * interval_s:.3g} s")
+        correlation *= _GM_RATIO
+    counts = np.diff(bounds).astype(np.float64)
+    return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s)
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Power (b,) of the noise, log-likelihood less the penalty of its level [nats], its level."""
+
+    power: Array
+    value: float
+    level: int
+    variances: Array
+    penalty: float
+
+
+PENALTY = (0.0, 3.0, 8.0)
+"""What each level costs [nats] where the model states its noise; where its size is free, STATED does not exist."""
+PENALTY_FREE = (math.inf, 0.0, 4.0)
+
+
+def fit_noise(
+    basis: Basis, rss: Array, freedom: Array, stated: Array | None, floor: Array, *, slow: bool = True
+) -> NoiseFit:
+    """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
+
+    ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut. Without
+    ``slow``, nothing but white noise and quantisation is tried.
+    """
+    penalty = PENALTY_FREE if stated is None else PENALTY
+    best: NoiseFit | None = None
+    if stated is not None:
+        best = NoiseFit(stated, _value(rss, freedom, stated), STATED, np.zeros(basis.power.shape[1]), 0.0)
+    start = np.full(basis.power.shape[1], 0.0)
+    high = slice(len(rss) // 2, None)
+    start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
+    for level, terms in ((WHITE, 2), (WIDE, len(start)))[: 2 if slow else 1]:
+        variances = np.zeros(len(start))
+        variances[:terms] = start[0] / np.maximum(np.median(basis.power[:, :terms], axis=0), 1e-300)
+        variances[1:] *= 0.1
+        _climb(basis.power, rss, freedom, floor, variances, 150)
+        power = floor + basis.power @ variances
+        value = _value(rss, freedom, power) - penalty[level]
+        if best is None or value > best.value:
+            best = NoiseFit(power, value, level, variances, penalty[level])
+    assert best is not None
+    return best
+
+
+def _value(rss: Array, freedom: Array, power: Array) -> float:
+    return float(-0.5 * np.sum(freedom * np.log(power) + rss / power))
+
+
+@compiled
+def _climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int) -> None:
+    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF)."""
+    bins, terms = basis.shape
+    for _ in range(rounds):
+        up = np.zeros(terms)
+        down = np.zeros(terms)
+        for b in range(bins):
+            power = floor[b]
+            for j in range(terms):
+                power += basis[b, j] * variances[j]
+            want = rss[b] / (power * power)
+            have = freedom[b] / power
+            for j in range(terms):
+                up[j] += basis[b, j] * want
+                down[j] += basis[b, j] * have
+        largest = 0.0
+        for j in range(terms):
+            if variances[j] > 0.0 and down[j] > 0.0:
+                ratio = up[j] / down[j]
+                variances[j] *= ratio
+                largest = max(largest, abs(ratio - 1.0))
+        if largest < 1e-4:
+            break
