@@ -12,8 +12,10 @@ import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+
+from drivers.recording_meta import ReferenceMeta, SiteMeta
 
 ENVIRONMENT_PREFIX = "INERTRIM_"
 PATHS = (
@@ -46,30 +48,18 @@ class LinkSettings(Section):
     stale_after_s: float = Field(0.5, gt=0, le=60)
 
 
-class SiteSettings(Section):
-    """``[site]``: where the launcher stands; ``gravity_mps2`` where it was surveyed."""
+class SiteSettings(SiteMeta):
+    """``[site]``: where the launcher stands, as in a recording's TOML; ``gravity_mps2`` where it was surveyed."""
+
+    model_config = ConfigDict(strict=False)  # the environment gives text
 
     latitude_deg: float = Field(ge=-90, le=90)
-    height_m: float = Field(0.0, ge=-500, le=9_000)
-    gravity_mps2: float | None = Field(None, gt=9.6, lt=10.0)
 
 
-class ReferenceSettings(Section):
+class ReferenceSettings(ReferenceMeta):
     """``[reference]``: what is known of the attitude, as in a recording's TOML. No roll and pitch: levels itself."""
 
-    azimuth_deg: float | None = Field(None, ge=-360, le=360)
-    azimuth_sigma_deg: float | None = Field(None, ge=0, le=180)
-    roll_deg: float | None = Field(None, ge=-180, le=180)
-    pitch_deg: float | None = Field(None, ge=-90, le=90)
-    heading_deg: float | None = Field(None, ge=-360, le=360)
-    level_sigma_deg: float | None = Field(None, ge=0, le=90)
-    level_frame: Literal["tangent", "body"] | None = None
-
-    @model_validator(mode="after")
-    def _whole(self) -> ReferenceSettings:
-        if (self.roll_deg is None) != (self.pitch_deg is None):
-            raise ValueError("roll_deg and pitch_deg belong together; give both or neither")
-        return self
+    model_config = ConfigDict(strict=False)
 
 
 class BlockSettings(Section):

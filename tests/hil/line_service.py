@@ -100,7 +100,7 @@ class Console:
         self.run_id = ""
 
     def start(self) -> str:
-        request = {"method": "paper", "azimuth_deg": None, "operator": "test"}
+        request = {"method": "optimal", "azimuth_deg": None, "alignment": None, "operator": "test"}
         self.run_id, _ = self.controller.start_run(request, "test")
         return self.run_id
 

@@ -27,7 +27,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 def test_killed_in_any_state_nothing_recorded_is_lost_and_a_new_run_can_start(bench: Bench, state: str) -> None:
     wait_s = random.Random(state).uniform(0.0, 0.15)  # real seconds: a random point, the same each time
     service = ServiceProcess(bench, free_port())
-    request, key = {"method": "paper", "azimuth_deg": None, "operator": "before"}, f"key of {state}"
+    request = {"method": "optimal", "azimuth_deg": None, "alignment": None, "operator": "before"}
+    key = f"key of {state}"
     run_id = service.client.post("/runs", json=request, headers={"Idempotency-Key": key}).json()["run_id"]
     reached = service.until(state)
     time.sleep(wait_s)

@@ -27,6 +27,14 @@ def test_command_line_goes_before_environment_before_file(tmp_path: Path, monkey
     assert (link.url, link.protocol, link.bit_rate) == ("command line", "environment", 115200)
 
 
+def test_text_of_the_environment_becomes_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INERTRIM_SITE__LATITUDE_DEG", "35.7")
+    monkeypatch.setenv("INERTRIM_REFERENCE__AZIMUTH_DEG", "40")
+    settings = load_settings()
+    assert settings.site is not None
+    assert (settings.site.latitude_deg, settings.reference.azimuth_deg) == (35.7, 40.0)
+
+
 def test_paths_in_the_file_are_taken_from_its_folder(tmp_path: Path) -> None:
     file = tmp_path / "settings.toml"
     file.write_text('[block]\ncalibration = "calibration.json"\n[store]\npath = "deep/inertrim.db"\n')
@@ -47,7 +55,7 @@ def test_paths_in_the_file_are_taken_from_its_folder(tmp_path: Path) -> None:
         ("[site]\nlatitude_deg = 91\n", "[site] latitude_deg", "Correct the value"),
         ("[site]\nlatitude_deg = nan\n", "[site] latitude_deg", "Correct the value"),
         ("[link]\nbit_rate = 'fast'\n", "[link] bit_rate", "Correct the value"),
-        ("[reference]\nroll_deg = 1.0\n", "[reference]", "give both or neither"),
+        ("[reference]\nroll_deg = 1.0\n", "[reference]", "roll_deg and pitch_deg"),
         ("[site\n", "not TOML", "Mend that line"),
         ("link = 3\n", "[link]", "Correct the value"),
     ],
