@@ -6,6 +6,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	&& { echo $$p; break; }; done)
 BIN := .venv/bin
 READY := .venv/.ready
+PEERS := .venv/.peers
+COMPILE := uv pip compile pyproject.toml --universal --generate-hashes --python-version 3.11 --no-header --no-annotate
 
 .PHONY: setup demo test bench lint long lock clean
 .DEFAULT_GOAL := setup
@@ -31,16 +33,21 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(READY)
+bench: $(PEERS)
 	$(BIN)/python -m benchmarks $(ARGS)
+
+# The peers that are measured against are for the benchmarks only.
+$(PEERS): $(READY) requirements-bench.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
+	@touch $@
 
 long: $(READY)
 	$(BIN)/python -m pytest -m long $(ARGS)
 
 # Pins every dependency, with hashes and without addresses, for all supported interpreters (needs `uv`).
 lock:
-	uv pip compile pyproject.toml --universal --generate-hashes --python-version 3.11 --all-extras \
-		--no-header --no-annotate --output-file requirements.lock
+	$(COMPILE) --extra test --extra lint --extra mcap --extra build --output-file requirements.lock
+	$(COMPILE) --all-extras --constraint requirements.lock --output-file requirements-bench.lock
 
 clean:
 	rm -rf .venv build *.egg-info
