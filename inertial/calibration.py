@@ -83,8 +83,9 @@ class CalibrationResult:
     """Coefficients of (1), (2) with covariance in ``order``, and how well the run agrees with them.
 
     ``nuisances`` are the table's errors found, name → (value, 1σ) [rad]; ``unobservable`` the combinations of
-    coefficients that the run says less of than the prior; ``disagreement`` of filter and batch in σ, the largest;
-    ``refused`` the spans not used, with the reason.
+    coefficients that the run says less of than the prior; ``disagreement`` of filter and batch in σ, the largest,
+    where there are two; ``refused`` the spans not used, with the reason;
+    ``notes`` what else the data show.
     """
 
     method: str
@@ -97,9 +98,10 @@ class CalibrationResult:
     chi_square: float
     degrees_of_freedom: int
     unobservable: tuple[Combination, ...]
-    disagreement: float
+    disagreement: float | None
     refused: tuple[str, ...]
     noise: Noise
+    notes: tuple[str, ...] = ()
 
     @property
     def sigma(self) -> Array:
@@ -441,8 +443,9 @@ def calibration_report(result: CalibrationResult) -> str:
         "",
         f"chi-square {result.chi_square:.1f} with {result.degrees_of_freedom} degrees of freedom "
         f"(chance of more: {result.chi_square_probability:.3g})",
-        f"filter and batch least squares differ by {result.disagreement:.1e} sigma at most",
     ]
+    if result.disagreement is not None:
+        lines.append(f"filter and batch least squares differ by {result.disagreement:.1e} sigma at most")
     if result.chi_square_probability < 0.001:
         lines.append(
             "the residuals are larger than noise and table explain: check the angles, their sigma and the rests"
@@ -454,4 +457,5 @@ def calibration_report(result: CalibrationResult) -> str:
         )
     lines += [f"not seen: {combination.text}" for combination in result.unobservable]
     lines += [f"not used: {text}" for text in result.refused]
+    lines += [f"note: {text}" for text in result.notes]
     return "\n".join(lines) + "\n"
