@@ -246,7 +246,8 @@ class ChannelFit:
 
         A ramp shows in the same few lowest coefficients as they do; taking them at their most likely values, often 0,
         would promise too much. Each pair (B, K) of a grid gives a normal distribution of the ramp, weighted by its
-        restricted likelihood and by a prior ∝ 1/(B + B₀)(K + K₀), with B₀, K₀ as large as all else in coefficient 1.
+        restricted likelihood under a flat prior: the interval then holds the ramp in 95 % of records that show a
+        random walk about as large as the ramp, and in more where there is none, which no record can prove.
         """
         weight, centre, sigma = self._ramp_mixture()
 
@@ -275,8 +276,7 @@ class ChannelFit:
         rest = spectrum.basis[:, :FLICKER] @ self.best[:FLICKER]
         scale = np.sqrt(np.maximum(rest[0], 1e-3 * spectrum.power[:SINGLE].max()) / spectrum.basis[0, FLICKER:])
         grids = [self._amplitudes(term, float(scale[term - FLICKER])) for term in (FLICKER, WALK)]
-        density = [np.gradient(grid) / (grid + unit) for grid, unit in zip(grids, scale, strict=True)]
-        prior = np.outer(*density).ravel()
+        prior = np.outer(*(np.gradient(grid) for grid in grids)).ravel()
         log_likelihood, centre, information = np.empty((3, prior.size))
         v = self.best.copy()
         for index, (flicker, walk) in enumerate(itertools.product(*grids)):
