@@ -186,7 +186,7 @@ def calibrate_table(
     errors = [np.zeros(len(own)) for own, _ in tables]
     for _ in range(_PASSES):
         equations = equations_of(spans, runs, errors, names, noise)
-        mean, covariance, _ = filtered(equations, all_sigma)
+        mean, covariance = filtered(equations, all_sigma)
         errors = np.split(mean[len(names) :], np.cumsum([len(own) for own, _ in tables])[:-1])
     checked, _ = batch_least_squares(equations.z, equations.H, equations.sigma, all_sigma)
     spread = np.sqrt(np.diag(covariance))
@@ -327,14 +327,14 @@ def _mean_sigma(duration_s: float, channel: ChannelNoise) -> float:
     return math.sqrt(channel.white**2 / duration_s + _FLICKER_FLOOR * channel.flicker**2 + walk)
 
 
-def filtered(equations: Equations, prior_sigma: Array) -> tuple[Array, Array, SquareRootFilter]:
-    """Run the square-root filter over the equations, span by span; return mean, covariance and the filter."""
+def filtered(equations: Equations, prior_sigma: Array) -> tuple[Array, Array]:
+    """Run the square-root filter over the equations, span by span; return mean and covariance."""
     estimator = SquareRootFilter(np.zeros(len(prior_sigma)), np.diag(prior_sigma))
     edges = [0, *(k for k in range(1, len(equations.z)) if equations.about[k][:3] != equations.about[k - 1][:3])]
     for begin, end in zip(edges, [*edges[1:], len(equations.z)], strict=True):
         rows = slice(begin, end)
         estimator.update(equations.z[rows], equations.H[rows], np.diag(equations.sigma[rows]))
-    return estimator.mean, estimator.covariance, estimator
+    return estimator.mean, estimator.covariance
 
 
 def _chi_square(equations: Equations, mean: Array, prior_sigma: Array, coefficients: int) -> float:

@@ -144,7 +144,7 @@ def predict(
     run = TableRun(Increments(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), setup)
     _, table_sigma = setup.nuisances()
     equations = equations_of([spans], [run], [np.zeros(len(table_sigma))], names, noise)
-    _, covariance, _ = filtered(equations, np.concatenate([prior_sigma, table_sigma]))
+    _, covariance = filtered(equations, np.concatenate([prior_sigma, table_sigma]))
     own = covariance[: len(names), : len(names)]
     return np.sqrt(np.diag(own)), unseen_combinations(names, own, prior_sigma)
 
