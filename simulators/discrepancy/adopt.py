@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy.fft import idct
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
-from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot, to_cosine
+from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.whitening import NoiseFit, fit_noise
-from simulators.effects import get_effect
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -81,6 +80,7 @@ class Searcher:
         self.progress = progress or _silent
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
+        self._steps: dict[Slot, Array] = {}
 
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
@@ -128,7 +128,8 @@ class Searcher:
     def rank(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
         """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted."""
         leaders = self._leaders(current, adopted)
-        refined = [self._refine(h, current) if place < _REFINED else h for place, h in enumerate(leaders)]
+        look = Look(self.evidence, current, self.quiet(current))
+        refined = [self._refine(h, current, look) if place < _REFINED else h for place, h in enumerate(leaders)]
         scored = [s for h in refined for s in [self._score(h, current, adopted)] if s is not None]
         return sorted(scored, key=lambda s: -s.score)
 
@@ -140,7 +141,8 @@ class Searcher:
         pool += late
         picked: dict[tuple[str, str], Hypothesis] = {}
         for noise in (current.noise, quiet):
-            gains = self.evidence.scan(pool, current, noise)
+            look = Look(self.evidence, current, noise)
+            gains = np.array([look.gain(h) for h in pool])
             scores = np.array(
                 [bayes_factor(g, len(h.columns), self._places(h)) for g, h in zip(gains, pool, strict=True)]
             )
@@ -182,38 +184,37 @@ class Searcher:
 
     # shapes ------------------------------------------------------------------------------------------------------
 
-    def _gain(self, hypothesis: Hypothesis | None, current: Fit, noise: dict[Slot, NoiseFit]) -> float:
-        return -math.inf if hypothesis is None else float(self.evidence.scan([hypothesis], current, noise)[0])
+    def _gain(self, hypothesis: Hypothesis | None, look: Look) -> float:
+        return -math.inf if hypothesis is None else look.gain(hypothesis)
 
-    def _refine(self, hypothesis: Hypothesis, current: Fit) -> Hypothesis:
+    def _refine(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
         """Return the hypothesis at its best shape nearby."""
         if hypothesis.kind is not Kind.NAMED:
             return hypothesis
-        noise = self.quiet(current)
         if hypothesis.chord:
-            return self._chord(hypothesis, current, noise)
+            return self._chord(hypothesis, current, look)
         names = [name for name in hypothesis.shape if name in _WIDTH]
         if len(names) != 1 or len(hypothesis.shape) != 1:
             return hypothesis
         name = names[0]
         middle = hypothesis.shape[name]
         relative = name in ("time_constant", "half_width", "limit")
-        width = _WIDTH[name] if not relative else _WIDTH[name]
+        width = _WIDTH[name]
         if name == "time":
             width = 0.6 * self.library.scenes[0].seen.interval_s
-        best, value = hypothesis, self._gain(hypothesis, current, noise)
+        best, value = hypothesis, self._gain(hypothesis, look)
         for _ in range(_ZOOMS[name]):
             for sign in (-1.0, 1.0):
                 at = middle * math.exp(sign * width) if relative else middle + sign * width
                 trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, hypothesis.places)
-                gain = self._gain(trial, current, noise)
+                gain = self._gain(trial, look)
                 if trial is not None and gain > value:
                     best, value = trial, gain
             middle = best.shape[name]
             width *= 0.55
         return best
 
-    def _chord(self, hypothesis: Hypothesis, current: Fit, noise: dict[Slot, NoiseFit]) -> Hypothesis:
+    def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
         """Take the column as the chord to the amplitude it is found to have."""
         for _ in range(3):
             fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
@@ -223,7 +224,7 @@ class Searcher:
             if abs(amplitude - hypothesis.chord) < 0.02 * abs(hypothesis.chord) or abs(amplitude) < 1e-9:
                 break
             trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, amplitude)
-            if trial is None or self._gain(trial, current, noise) < self._gain(hypothesis, current, noise) - 1.0:
+            if trial is None or self._gain(trial, look) < self._gain(hypothesis, look) - 1.0:
                 break
             hypothesis = trial
         return hypothesis
@@ -254,14 +255,8 @@ class Searcher:
     def _step(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
         scene, n = self.library.scenes[slot[0]], len(score)
         since = np.cumsum(score[::-1])[::-1]
-        trials = np.linspace(0.02, 0.98, 20) * n
-        weight = 1.0 / noise[slot].power
-        sizes = []
-        for start in trials:
-            column = np.zeros(n)
-            column[int(start) :] = 1.0
-            power = np.square(np.asarray(_cosine(column / self.library.spread[slot])))
-            sizes.append(float(weight @ np.add.reduceat(power, self.evidence.basis[slot].bounds[:-1])))
+        trials, powers = self._step_powers(slot, n)
+        sizes = powers @ (1.0 / noise[slot].power)
         where = np.arange(n)
         gain = since**2 / np.interp(where, trials, sizes)
         gain[(where < 0.01 * n) | (where > 0.99 * n)] = 0.0
@@ -272,13 +267,26 @@ class Searcher:
         found = self.library.trial("bias_step", CHANNELS[slot[1]], {"time": time_s}, 200.0)
         return [] if found is None else [found]
 
+    def _step_powers(self, slot: Slot, n: int) -> tuple[Array, Array]:
+        """Return twenty places of a step and the power of each in every bin, made once."""
+        trials = np.linspace(0.02, 0.98, 20) * n
+        if slot not in self._steps:
+            powers = []
+            for start in trials:
+                column = np.zeros(n)
+                column[int(start) :] = 1.0
+                power = np.square(to_cosine(column / self.library.spread[slot]))
+                powers.append(np.add.reduceat(power, self.evidence.basis[slot].bounds[:-1]))
+            self._steps[slot] = np.array(powers)
+        return trials, self._steps[slot]
+
     def _lines(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
         scene, n = self.library.scenes[slot[0]], len(score)
         interval = scene.interval_s
         spectrum = np.abs(np.fft.rfft(score, 2 * n)) ** 2
         frequency = np.fft.rfftfreq(2 * n, interval)
         place = np.clip((2.0 * frequency * n * interval).astype(np.int64), 0, n - 1)
-        bins = np.clip(np.searchsorted(self.evidence.basis[slot].bounds, place, "right") - 1, 0, len(noise[slot].power) - 1)
+        bins = np.searchsorted(self.evidence.basis[slot].bounds[1:-1], place, "right")
         gain = spectrum * noise[slot].power[bins] / n
         gain[frequency < 4.0 / (n * interval)] = 0.0
         best = int(np.argmax(gain))
@@ -329,17 +337,9 @@ class Searcher:
             ranked = [s for s in self.rank(without, rest) if s.hypothesis.name != h.name]
             entry = Adopted(h, own.gain, own.score, rivals=ranked[:8])
             if h.kind is Kind.NAMED:
-                entry.ties = [
-                    s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE
-                ]
+                entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             out.append(entry)
         return out
-
-
-def _cosine(values: Array) -> Array:
-    from simulators.discrepancy.candidates import to_cosine
-
-    return to_cosine(values)
 
 
 def _silent(share: float, text: str) -> None:
@@ -348,11 +348,6 @@ def _silent(share: float, text: str) -> None:
 
 _WIDTH = {"time_constant": 0.5, "half_width": 0.1, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
 _ZOOMS = {"time_constant": 7, "half_width": 6, "limit": 6, "reference": 6, "nominal": 5, "time": 4}
-
-
-def effect_of(hypothesis: Hypothesis) -> object:
-    """Return the definition of a named hypothesis' effect."""
-    return get_effect(hypothesis.effect)
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:

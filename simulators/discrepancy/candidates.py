@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 Slot = tuple[int, int]
 """A scene and a channel, both counted from 0."""
 
-STEP_TRIALS = 14
+STEP_TRIALS = 12
+MOST_TURNS = 8
+"""Turns whose own errors are looked for; those of later ones are left to the named effects."""
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
 DELAY_SAMPLES = (0.5, 2.0, 6.0, 20.0)
@@ -91,8 +93,11 @@ class Library:
         self.residual: dict[Slot, Array] = {}
         self.spread: dict[Slot, Array] = {}
         """How much noisier each analysed sample is than those at rest."""
+        self._known: dict[tuple[int, int, int], Array] = {}
+        self._gappy: dict[Slot, bool] = {}
         for s, scene in enumerate(scenes):
             for c in range(6):
+                self._gappy[s, c] = bool(scene.data.missing[:, c].any())
                 residual, spread = level_spread(scene, c)
                 self.residual[s, c], self.spread[s, c] = to_cosine(residual / spread), spread
         self.columns: list[Column] = []
@@ -113,12 +118,20 @@ class Library:
         for (scene, channel), values in raw:
             largest = float(np.max(np.abs(values), initial=0.0))
             if largest > 1e-280 and np.all(np.isfinite(values)):
-                weighted = self.scenes[scene].analysed(values, channel) / self.spread[scene, channel]
-                parts[scene, channel] = to_cosine(weighted)
+                parts[scene, channel] = self._coefficients(scene, channel, values)
         if not parts:
             return None
         self.columns.append(Column(parts))
         return len(self.columns) - 1
+
+    def _coefficients(self, scene: int, channel: int, values: Array) -> Array:
+        """Return a column's coefficients; channels whose samples are all equally good share it."""
+        plain = bool(np.all(self.spread[scene, channel] == 1.0)) and not self._gappy[scene, channel]
+        key = (scene, -1 if plain else channel, hash(values.tobytes()))
+        if key not in self._known:
+            weighted = self.scenes[scene].analysed(values, channel) / self.spread[scene, channel]
+            self._known[key] = to_cosine(weighted)
+        return self._known[key]
 
     def add(
         self,
@@ -147,7 +160,7 @@ class Library:
         return self.add(Kind.NAMED, effect, channel, raw, shape, places, isinstance(found, SampleEffect))
 
     def setup_trial(self, effect: str, channel: str, size: float) -> Hypothesis | None:
-        """Add a set-up effect's column, taken as the chord to ``size`` so that large errors need no small-angle rule."""
+        """Add a set-up effect's column, taken as the chord to ``size``, so that large errors need no small angles."""
         raw: list[tuple[Slot, Array]] = []
         for s, scene in enumerate(self.scenes):
             difference = setup_difference(scene, effect, channel, size) / size
@@ -263,7 +276,7 @@ class Library:
 
     def _add_reference(self, index: int) -> None:
         scene = self.scenes[index]
-        turns = scene.turns()[:8]
+        turns = scene.turns()[:MOST_TURNS]
         if not turns:
             return
         timing: list[list[tuple[Slot, Array]]] = []
@@ -287,12 +300,14 @@ class Library:
             for k in range(3)
         ]
         where = f"recording {index + 1}" if len(self.scenes) > 1 else "all"
-        self.add(Kind.REFERENCE, "turn_timing", where, timing)
-        self.add(Kind.REFERENCE, "turn_angle", where, angle)
-        self.add(Kind.REFERENCE, "turn_timing_and_angle", where, timing + angle)
-        self.add(Kind.REFERENCE, "turn_axis", where, axis)
-        self.add(Kind.REFERENCE, "turn_motion", where, timing + angle + axis)
-        self.add(Kind.REFERENCE, "lever_arm", where, lever)
+        groups = {
+            name: [self.add_column(raw) for raw in columns]
+            for name, columns in (("timing", timing), ("angle", angle), ("axis", axis), ("lever", lever))
+        }
+        for name, parts in _REFERENCE.items():
+            ids = tuple(i for part in parts for i in groups[part] if i is not None)
+            if ids:
+                self.hypotheses.append(Hypothesis(Kind.REFERENCE, name, where, ids))
 
     def _add_nuisance(self, index: int) -> None:
         """What the reference itself is unsure of, by its own σ; what it does not give is free."""
@@ -306,7 +321,7 @@ class Library:
             rides = float(reference.level_frame == "body")
             for axis in range(2):
                 self._always(index, _tilted(scene, axis, rides), level * degree)
-        for place, turn in scene.turns()[:8]:
+        for place, turn in scene.turns()[:MOST_TURNS]:
             sigma = scene.recording.meta.motion[_place_in_meta(scene, turn)].angle_sigma_deg  # type: ignore[union-attr]
             if sigma:
                 whole = turn.rate_radps * (turn.end_s - turn.start_s)
@@ -328,17 +343,16 @@ class Library:
             self.add(Kind.EMPIRICAL, name, CHANNELS[channel], [raw])
 
 
-_SPARSE = {
-    "size_effect",
-    "lever_arm",
-    "level_error",
-    "turn_axis",
-    "turn_motion",
-    "turn_timing",
-    "turn_angle",
-    "turn_timing_and_angle",
+_SPARSE = {"size_effect", "level_error"}
+"""Effects of which a column may have nothing to say."""
+_REFERENCE = {
+    "turn_timing": ("timing",),
+    "turn_angle": ("angle",),
+    "turn_timing_and_angle": ("timing", "angle"),
+    "turn_axis": ("axis",),
+    "turn_motion": ("timing", "angle", "axis"),
+    "lever_arm": ("lever",),
 }
-"""Hypotheses of which a column may have nothing to say."""
 _PLACES = {"bias_step": 200.0}
 
 

@@ -6,6 +6,7 @@ columns and its residual. So a noise model can be changed, or a candidate tried,
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-11
+_MANY = 64
+_NOTHING = 1e-7  # share of a column's power
 
 
 def bayes_factor(gain: float, count: int, places: float) -> float:
@@ -80,19 +83,26 @@ class Evidence:
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
         self.floor[slot] = basis.stated(noise.__class__(), lsb)
         self.stated[slot] = basis.stated(noise, lsb) if declared else None
-        ids = [i for i, column in enumerate(self.library.columns) if slot in column.parts]
+        bounds = basis.bounds
+        parts = {i: column.parts[slot] for i, column in enumerate(self.library.columns) if slot in column.parts}
+        reach = {i: _reach(part, bounds) for i, part in parts.items()}
+        ids = sorted(parts, key=lambda i: -reach[i])  # the widest bands first
         self._local[slot] = {i: place for place, i in enumerate(ids)}
         matrix = np.empty((len(residual), len(ids) + 1))
+        matrix[:, 0] = residual
         for place, i in enumerate(ids):
-            matrix[:, place] = self.library.columns[i].parts[slot]
-        matrix[:, -1] = residual
-        gram = np.empty((len(basis.counts), len(ids) + 1, len(ids) + 1))
-        for b, (first, end) in enumerate(zip(basis.bounds[:-1], basis.bounds[1:], strict=True)):
-            rows = matrix[first:end]
-            gram[b] = rows.T @ rows
-        self._gram[slot] = gram[:, :-1, :-1]
-        self._with_residual[slot] = gram[:, :-1, -1]
-        self._residual2[slot] = gram[:, -1, -1]
+            matrix[:, place + 1] = parts[i]
+        gram = np.zeros((len(basis.counts), len(ids) + 1, len(ids) + 1))
+        reaches = np.array([len(basis.counts)] + [reach[i] for i in ids])
+        for b, (first, end) in enumerate(itertools.pairwise(bounds)):
+            count = int(np.sum(reaches > b))
+            rows = matrix[first:end, :count]
+            if end - first >= _MANY:  # far from the few coefficients that tell slow effects apart
+                rows = rows.astype(np.float32)
+            gram[b, :count, :count] = rows.T @ rows
+        self._gram[slot] = gram[:, 1:, 1:]
+        self._with_residual[slot] = gram[:, 1:, 0]
+        self._residual2[slot] = gram[:, 0, 0]
 
     def products(self, slot: Slot, ids: Sequence[int]) -> tuple[Array, Array]:
         """Return Gram (bins, k, k) and products with the residual (bins, k) of columns in one slot."""
@@ -107,12 +117,12 @@ class Evidence:
         for place, i in enumerate(ids):
             if i < self.base:
                 continue
-            with_residual[:, place] = self._product(slot, i, -1)
+            with_residual[:, place] = self.product(slot, i, -1)
             for other, j in enumerate(ids):
-                gram[:, place, other] = gram[:, other, place] = self._product(slot, i, j)
+                gram[:, place, other] = gram[:, other, place] = self.product(slot, i, j)
         return gram, with_residual
 
-    def _product(self, slot: Slot, i: int, j: int) -> Array:
+    def product(self, slot: Slot, i: int, j: int) -> Array:
         """Return binned products of a late column with another, or with the residual (-1)."""
         key = (slot, max(i, j), min(i, j))
         if key not in self._extra:
@@ -123,6 +133,14 @@ class Evidence:
                 np.zeros(len(bounds)) if one is None or two is None else np.add.reduceat(one * two, bounds)
             )
         return self._extra[key]
+
+    def local(self, slot: Slot) -> dict[int, int]:
+        """Return the places of the library's first columns within a slot."""
+        return self._local[slot]
+
+    def weighted(self, slot: Slot, weight: Array) -> tuple[Array, Array]:
+        """Return Gram and products with the residual of a slot's first columns, summed over bins with a weight."""
+        return np.tensordot(weight, self._gram[slot], 1), weight @ self._with_residual[slot]
 
     def touched(self, ids: Sequence[int]) -> set[Slot]:
         """Return the slots that columns act on."""
@@ -141,6 +159,7 @@ class Evidence:
         changed |= self.touched(gone)
         noise = {} if start is None else dict(start.noise)
         products = {slot: self.products(slot, everything) for slot in self.slots}
+        kept = [slot for slot in self.slots if slot not in changed]
         for slot in self.slots:
             if slot not in noise:
                 counts = self.basis[slot].counts
@@ -150,14 +169,11 @@ class Evidence:
         k, f = len(free), len(fixed)
         amplitude, covariance = np.zeros(k), np.zeros((k, k))
         rss: dict[Slot, Array] = {}
+        steady = np.diag([1.0 / self.prior[i] ** 2 if i in self.prior else 0.0 for i in free])
+        steady, steady_right = _normal(steady, np.zeros(k), [products[slot] for slot in kept], [noise[s] for s in kept])
+        moving = [slot for slot in self.slots if slot in changed]
         for _ in range(_ROUNDS):
-            matrix = np.diag([1.0 / self.prior[i] ** 2 if i in self.prior else 0.0 for i in free])
-            right = np.zeros(k)
-            for slot, (gram, with_residual) in products.items():
-                weight = 1.0 / noise[slot].power
-                whole = np.tensordot(weight, gram, 1)
-                matrix += whole[:k, :k]
-                right += weight @ with_residual[:, :k] - whole[:k, k:].sum(axis=1)
+            matrix, right = _normal(steady, steady_right, [products[s] for s in moving], [noise[s] for s in moving])
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             unit = matrix / np.outer(scale, scale)
             unit[np.diag_indices(k)] += _RIDGE
@@ -165,90 +181,111 @@ class Evidence:
             covariance = inverse / np.outer(scale, scale)
             amplitude = covariance @ right
             full = np.concatenate([amplitude, np.ones(f)])
-            for slot, (gram, with_residual) in products.items():
-                left = self._residual2[slot] - 2.0 * with_residual @ full + np.einsum("bij,i,j->b", gram, full, full)
-                rss[slot] = np.maximum(left, 1e-12 * self._residual2[slot])
-                if slot in changed:
-                    used = np.einsum("bij,ij->b", gram[:, :k, :k], covariance) / noise[slot].power
-                    counts = self.basis[slot].counts
-                    freedom = np.maximum(counts - used, 0.02 * counts)
-                    noise[slot] = fit_noise(self.basis[slot], rss[slot], freedom, self.stated[slot], self.floor[slot])
+            for slot in moving:
+                gram, _ = products[slot]
+                rss[slot] = self._rss(slot, products[slot], full)
+                used = np.einsum("bij,ij->b", gram[:, :k, :k], covariance) / noise[slot].power
+                counts = self.basis[slot].counts
+                freedom = np.maximum(counts - used, 0.02 * counts)
+                noise[slot] = fit_noise(self.basis[slot], rss[slot], freedom, self.stated[slot], self.floor[slot])
+        for slot in kept:
+            rss[slot] = self._rss(slot, products[slot], full)
         value = sum(self._value(slot, rss[slot], noise[slot]) for slot in self.slots)
         value -= 0.5 * sum((a / self.prior[i]) ** 2 for i, a in zip(free, amplitude, strict=True) if i in self.prior)
         return Fit(everything, np.concatenate([amplitude, np.ones(f)]), covariance, float(value), noise, rss)
+
+    def _rss(self, slot: Slot, products: tuple[Array, Array], amplitude: Array) -> Array:
+        gram, with_residual = products
+        left = self._residual2[slot] - 2.0 * with_residual @ amplitude + (gram @ amplitude) @ amplitude
+        return np.asarray(np.maximum(left, 1e-12 * self._residual2[slot]))
 
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
         penalty = noise.penalty
         return float(-0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)) - penalty
 
-    def scan(self, hypotheses: Sequence[Hypothesis], current: Fit, noise: dict[Slot, NoiseFit]) -> Array:
-        """Return by how much each hypothesis raises the log-likelihood [nats] at a given noise."""
-        active = list(current.ids)
-        k = len(active)
-        matrix = np.diag([1.0 / self.prior[i] ** 2 if i in self.prior else 0.0 for i in active])
+
+def _reach(part: Array, bounds: NDArray[np.int64]) -> int:
+    """Return in how many bins a column has any power to speak of; beyond them it is not multiplied."""
+    power = np.add.reduceat(part**2, bounds[:-1])
+    left = np.cumsum(power[::-1])[::-1]
+    return int(np.sum(left > _NOTHING * left[0]))
+
+
+def _normal(
+    matrix: Array, right: Array, products: Sequence[tuple[Array, Array]], noise: Sequence[NoiseFit]
+) -> tuple[Array, Array]:
+    """Add slots' weighted products to the normal equations of the free columns, which come first."""
+    k = len(right)
+    for (gram, with_residual), fitted in zip(products, noise, strict=True):
+        weight = 1.0 / fitted.power
+        whole = np.tensordot(weight, gram, 1)
+        matrix = matrix + whole[:k, :k]
+        right = right + weight @ with_residual[:, :k] - whole[:k, k:].sum(axis=1)
+    return matrix, right
+
+
+class Look:
+    """What each hypothesis would gain beside a fit at a given noise, the noise not refitted: milliseconds for all."""
+
+    def __init__(self, evidence: Evidence, current: Fit, noise: dict[Slot, NoiseFit]) -> None:
+        self.evidence, self.active = evidence, list(current.ids)
+        self._weight = {slot: 1.0 / noise[slot].power for slot in evidence.slots}
+        k = len(self.active)
+        matrix = np.diag([1.0 / evidence.prior[i] ** 2 if i in evidence.prior else 0.0 for i in self.active])
         right = np.zeros(k)
-        weighted: dict[Slot, tuple[Array, Array, NDArray[np.int64]]] = {}
-        for slot in self.slots:
-            weight = 1.0 / noise[slot].power
-            gram, with_residual = self.products(slot, active)
-            matrix += np.tensordot(weight, gram, 1)
-            right += weight @ with_residual
-            known = np.array([self._local[slot].get(i, -1) for i in active], dtype=np.int64)
-            weighted[slot] = np.tensordot(weight, self._gram[slot], 1), weight @ self._with_residual[slot], known
+        for slot in evidence.slots:
+            gram, with_residual = evidence.products(slot, self.active)
+            matrix += np.tensordot(self._weight[slot], gram, 1)
+            right += self._weight[slot] @ with_residual
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         unit = matrix / np.outer(scale, scale)
         unit[np.diag_indices(k)] += _RIDGE
-        inverse = np.linalg.inv(unit) / np.outer(scale, scale) if k else unit
-        amplitude = inverse @ right
-        gains = np.zeros(len(hypotheses))
-        for place, hypothesis in enumerate(hypotheses):
-            if any(i in active for i in hypothesis.columns):
-                continue
-            own, score, cross = self._of_hypothesis(hypothesis, active, noise, weighted)
-            left = score - cross @ amplitude
-            inside = own - cross @ inverse @ cross.T
-            if hypothesis.unit_amplitude:
-                gains[place] = float(np.sum(left) - 0.5 * np.sum(inside))
-                continue
-            size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-            unit = inside / np.outer(size, size)
-            values, vectors = np.linalg.eigh(unit)
-            seen = values > 1e-7
-            along = (vectors.T @ (left / size))[seen]
-            gains[place] = 0.5 * float(np.sum(along**2 / values[seen]))
-        return gains
+        self._inverse = np.linalg.inv(unit) / np.outer(scale, scale) if k else unit
+        self._amplitude = self._inverse @ right
+        self._weighted: dict[Slot, tuple[Array, Array]] = {}
 
-    def _of_hypothesis(
-        self,
-        hypothesis: Hypothesis,
-        active: Sequence[int],
-        noise: dict[Slot, NoiseFit],
-        weighted: dict[Slot, tuple[Array, Array, NDArray[np.int64]]],
-    ) -> tuple[Array, Array, Array]:
-        ids = hypothesis.columns
-        own, score, cross = np.zeros((len(ids), len(ids))), np.zeros(len(ids)), np.zeros((len(ids), len(active)))
-        late = any(i >= self.base for i in ids)
-        for slot in self.touched(ids):
-            if late:
-                gram, with_residual = self.products(slot, [*ids, *active])
-                weight = 1.0 / noise[slot].power
-                whole = np.tensordot(weight, gram, 1)
-                own += whole[: len(ids), : len(ids)]
-                cross += whole[: len(ids), len(ids) :]
-                score += (weight @ with_residual)[: len(ids)]
+    def gain(self, hypothesis: Hypothesis) -> float:
+        """Return by how much a hypothesis raises the log-likelihood [nats]."""
+        if any(i in self.active for i in hypothesis.columns):
+            return 0.0
+        own, score, cross = self._products(hypothesis.columns)
+        left = score - cross @ self._amplitude
+        inside = own - cross @ self._inverse @ cross.T
+        if hypothesis.unit_amplitude:
+            return float(np.sum(left) - 0.5 * np.sum(inside))
+        if len(left) == 1:
+            whole, rest = float(own[0, 0]), float(inside[0, 0])
+            return 0.5 * float(left[0]) ** 2 / rest if rest > 1e-7 * whole else 0.0
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        values, vectors = np.linalg.eigh(inside / np.outer(size, size))
+        seen = values > 1e-7
+        along = (vectors.T @ (left / size))[seen]
+        return 0.5 * float(np.sum(along**2 / values[seen]))
+
+    def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
+        k = len(ids)
+        own, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((k, len(self.active)))
+        evidence = self.evidence
+        for slot in evidence.touched(ids):
+            local = evidence.local(slot)
+            weight = self._weight[slot]
+            if any(i not in local for i in ids):
+                gram, with_residual = evidence.products(slot, [*ids, *self.active])
+                whole = np.tensordot(weight, gram[:, :k], 1)
+                own += whole[:, :k]
+                cross += whole[:, k:]
+                score += weight @ with_residual[:, :k]
                 continue
-            gram, with_residual, known = weighted[slot]
-            local = [self._local[slot].get(i, -1) for i in ids]
-            there = [p for p, w in enumerate(local) if w >= 0]
-            where = np.array([local[p] for p in there])
-            own[np.ix_(there, there)] += gram[np.ix_(where, where)]
-            score[there] += with_residual[where]
-            inside = np.flatnonzero(known >= 0)
-            cross[np.ix_(there, inside)] += gram[np.ix_(where, known[inside])]
-            for column in np.flatnonzero(known < 0):
-                if active[column] >= self.base:
-                    for p in there:
-                        cross[p, column] += float(
-                            (1.0 / noise[slot].power) @ self._product(slot, active[column], ids[p])
-                        )
+            if slot not in self._weighted:
+                self._weighted[slot] = evidence.weighted(slot, weight)
+            gram2, with_residual1 = self._weighted[slot]
+            where = [local[i] for i in ids]
+            own += gram2[where][:, where]
+            score += with_residual1[where]
+            for column, i in enumerate(self.active):
+                if i in local:
+                    cross[:, column] += gram2[where, local[i]]
+                elif i >= evidence.base:
+                    for p, j in enumerate(ids):
+                        cross[p, column] += float(weight @ evidence.product(slot, i, j))
         return own, score, cross

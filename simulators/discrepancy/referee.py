@@ -24,7 +24,7 @@ def generic_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
     seen = scene.seen
     n = seen.time_s.size
     phase = np.pi * (np.arange(n) + 0.5) / n
-    for k in range(1, 9):
+    for k in range(1, 7):
         yield f"cos {k}/2 of the span", np.cos(k * phase)
     inputs = np.hstack([seen.accel_mps2, seen.gyro_radps])
     own = inputs[:, channel]

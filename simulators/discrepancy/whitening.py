@@ -106,8 +106,8 @@ def fit_noise(
 ) -> NoiseFit:
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
-    ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut. Without
-    ``slow``, nothing but white noise and quantisation is tried.
+    ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
+    Without ``slow``, nothing but white noise and quantisation is tried.
     """
     penalty = PENALTY_FREE if stated is None else PENALTY
     best: NoiseFit | None = None

@@ -16,7 +16,7 @@ class ScaleCubic(LinearEffect):
     text = "The sensor's reading bends with the cube of its input."
     term = "third-order nonlinearity coefficient K3 (IEEE 1293)"
     channels = ChannelKind.SENSOR
-    parameters = (Parameter("coefficient", "1/y^2", "K3", {"accel": Range(1e-9, 1e-5), "gyro": Range(1e-6, 1e1)}),)
+    parameters = (Parameter("coefficient", "1/(y)^2", "K3", {"accel": Range(1e-9, 1e-5), "gyro": Range(1e-6, 1e1)}),)
     shown_by = "turns at three rates and more; a tumble for accelerometers"
     source = "data sheets: 0.1 to 50 µg/g³"
 

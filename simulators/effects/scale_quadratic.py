@@ -16,7 +16,7 @@ class ScaleQuadratic(LinearEffect):
     text = "The sensor's reading bends with the square of its input."
     term = "second-order nonlinearity coefficient K2 (IEEE 1293)"
     channels = ChannelKind.SENSOR
-    parameters = (Parameter("coefficient", "1/y", "K2", {"accel": Range(1e-7, 1e-4), "gyro": Range(1e-6, 1e-1)}),)
+    parameters = (Parameter("coefficient", "1/(y)", "K2", {"accel": Range(1e-7, 1e-4), "gyro": Range(1e-6, 1e-1)}),)
     shown_by = "positions, and turns at several rates of both signs"
     source = "data sheets: 5 to 100 µg/g²"
 

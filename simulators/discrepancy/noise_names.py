@@ -1,0 +1,149 @@
+"""Noise larger than the model states: which term of IEEE 952 it is, or that it is of none of their colours."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inertial.documents import CHANNELS, ChannelNoise
+from simulators.discrepancy.candidates import Slot
+from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.whitening import fit_noise
+
+Array = NDArray[np.float64]
+
+TERMS = {
+    "random_walk": ("coefficient", ChannelNoise(white=1.0)),
+    "bias_instability": ("coefficient", ChannelNoise(flicker=1.0)),
+    "rate_random_walk": ("coefficient", ChannelNoise(random_walk=1.0)),
+    "quantisation": ("step", ChannelNoise(quantisation=1.0)),
+}
+"""Effect, its parameter, and unit noise of its kind."""
+MARGIN = 5.0
+OTHER_COLOUR = 9.0
+"""What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
+_PLACES = 24.0
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """A noise term that is larger than stated."""
+
+    effect: str
+    channel: str
+    value: float
+    sigma: float
+    gain: float
+    score: float
+    ties: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class OtherNoise:
+    """Noise on a channel that the named terms do not explain: what the wide family gains over them [nats], where."""
+
+    channel: str
+    gain: float
+    band_hz: tuple[float, float]
+
+
+def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> tuple[list[NoiseFinding], list[OtherNoise]]:
+    """Return the noise terms larger than stated, and channels whose noise is of no colour in the library."""
+    found: list[NoiseFinding] = []
+    other: list[OtherNoise] = []
+    for channel in range(len(CHANNELS)):
+        slots = [slot for slot in evidence.slots if slot[1] == channel and evidence.stated[slot] is not None]
+        if slots:
+            terms, strange = _of_channel(evidence, fit, slots, CHANNELS[channel], margin)
+            found += terms
+            other += strange
+    return found, other
+
+
+def _of_channel(
+    evidence: Evidence, fit: Fit, slots: list[Slot], channel: str, margin: float
+) -> tuple[list[NoiseFinding], list[OtherNoise]]:
+    power: dict[Slot, Array] = {}
+    for slot in slots:
+        stated = evidence.stated[slot]
+        assert stated is not None
+        power[slot] = stated
+    found: list[NoiseFinding] = []
+    value = _total(evidence, fit, power)
+    while len(found) < 2:
+        trials = []
+        for effect, (_, unit) in TERMS.items():
+            if effect in [f.effect for f in found]:
+                continue
+            variance = _best(evidence, fit, power, unit)
+            changed = {s: power[s] + variance * evidence.basis[s].stated(unit, 0.0) for s in slots}
+            gain = _total(evidence, fit, changed) - value
+            trials.append((bayes_factor(gain, 1, _PLACES), gain, effect, variance, changed))
+        trials.sort(key=lambda trial: -trial[0])
+        score, gain, effect, variance, changed = trials[0]
+        if score < margin:
+            break
+        ties = tuple(t[2] for t in trials[1:] if t[0] > score - 3.0)
+        size = math.sqrt(variance)
+        sigma = _sigma(evidence, changed, TERMS[effect][1]) / (2.0 * size)
+        found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
+        power, value = changed, value + gain
+    wide = 0.0
+    for slot in slots:
+        basis, rss = evidence.basis[slot], fit.rss[slot]
+        free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
+        wide += _whittle(rss, basis.counts, free.power)
+    gained = wide - value
+    total = sum(f.gain for f in found)
+    if gained > OTHER_COLOUR + 0.1 * total:
+        lower = all(np.median(fit.noise[slot].power / power[slot]) < 0.9 for slot in slots)
+        if not lower:
+            slot = slots[0]
+            ratio = fit.rss[slot] / evidence.basis[slot].counts / power[slot]
+            frequency = evidence.basis[slot].frequency_hz
+            odd = frequency[ratio > 1.3]
+            band = (float(odd.min()), float(odd.max())) if odd.size else (0.0, float(frequency[-1]))
+            return [], [OtherNoise(channel, gained + total, band)]
+    return found, []
+
+
+def _whittle(rss: Array, counts: Array, power: Array) -> float:
+    return float(-0.5 * np.sum(counts * np.log(power) + rss / power))
+
+
+def _total(evidence: Evidence, fit: Fit, power: dict[Slot, Array]) -> float:
+    return sum(_whittle(fit.rss[slot], evidence.basis[slot].counts, p) for slot, p in power.items())
+
+
+def _best(evidence: Evidence, fit: Fit, power: dict[Slot, Array], unit: ChannelNoise) -> float:
+    """Return the variance of one term that is most likely on top of ``power``, by Fisher scoring from above."""
+    columns = {slot: evidence.basis[slot].stated(unit, 0.0) for slot in power}
+    start = [
+        float(np.quantile(np.maximum(fit.rss[s] / evidence.basis[s].counts - power[s], 0.0) / columns[s], 0.3))
+        for s in power
+    ]
+    variance = max(*start, 1e-300) if len(start) > 1 else max(start[0], 1e-300)
+    variance = max(variance, 1e-6 * min(float(np.min(power[s] / columns[s])) for s in power))
+    for _ in range(200):
+        up = down = 0.0
+        for slot, column in columns.items():
+            now = power[slot] + variance * column
+            up += float(np.sum(column * fit.rss[slot] / now**2))
+            down += float(np.sum(column * evidence.basis[slot].counts / now))
+        ratio = up / down
+        variance *= ratio
+        if abs(ratio - 1.0) < 1e-5:
+            break
+    return variance
+
+
+def _sigma(evidence: Evidence, power: dict[Slot, Array], unit: ChannelNoise) -> float:
+    """Return the 1σ of the variance from its Fisher information."""
+    information = 0.0
+    for slot, now in power.items():
+        column = evidence.basis[slot].stated(unit, 0.0)
+        information += 0.5 * float(np.sum(evidence.basis[slot].counts * (column / now) ** 2))
+    return 1.0 / math.sqrt(information)
