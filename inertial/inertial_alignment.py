@@ -99,16 +99,22 @@ def inertial_alignment(
         As :func:`align_in_inertial_frame`.
     """
     dv, dtheta = window.true(coefficients, terms)
+    # No record at one attitude tells sensor errors from level and azimuth: the fit assumes none, σ holds what is
+    # believed of them, as coarse_alignment does (Groves eq. 5.94).
     accels, gyros = (noise.accel_x, noise.accel_y, noise.accel_z), (noise.gyro_x, noise.gyro_y, noise.gyro_z)
     found = align_in_inertial_frame(
         dv,
         dtheta,
         window.interval_s,
         site,
-        accel_sigma_mps2=math.hypot(accel_bias_sigma_mps2, max(channel.flicker for channel in accels)),
-        gyro_sigma_radps=math.hypot(gyro_bias_sigma_radps, max(channel.flicker for channel in gyros)),
         velocity_random_walk=max(channel.white for channel in accels),
         angle_random_walk=max(channel.white for channel in gyros),
+    )
+    accel_sigma = math.hypot(accel_bias_sigma_mps2, max(channel.flicker for channel in accels))
+    gyro_sigma = math.hypot(gyro_bias_sigma_radps, max(channel.flicker for channel in gyros))
+    level_sigma = accel_sigma / site.gravity_mps2
+    azimuth_sigma = math.hypot(
+        gyro_sigma / (EARTH_RATE_RADPS * math.cos(site.latitude_rad)), level_sigma * math.tan(site.latitude_rad)
     )
     roll, pitch, _ = roll_pitch_heading(found.C_tb)
     given = reference.azimuth_rad is not None
@@ -118,8 +124,10 @@ def inertial_alignment(
             found.azimuth_rad - reference.heading_rad if reference.azimuth_rad is None else reference.azimuth_rad
         )
         % math.tau,
-        level_sigma_rad=found.level_sigma_rad,
-        azimuth_sigma_rad=reference.azimuth_sigma_rad if given else found.azimuth_sigma_rad,
+        level_sigma_rad=math.hypot(found.level_sigma_rad, level_sigma),
+        azimuth_sigma_rad=(
+            reference.azimuth_sigma_rad if given else math.hypot(found.azimuth_sigma_rad, azimuth_sigma)
+        ),
         level_source="accelerometers",
         azimuth_source="given" if given else "gyrocompass",
     )
