@@ -43,7 +43,10 @@ class SiteMeta(_Section):
 
 
 class ReferenceMeta(_Section):
-    """``[reference]``: how the block stood at t = 0, from outside; no roll and pitch: it levels itself."""
+    """``[reference]``: how the block stood at t = 0, from outside; no roll and pitch: it levels itself.
+
+    ``alignment``: how it then finds its attitude: by averaging at rest, or in an inertial frame while it sways.
+    """
 
     azimuth_deg: float | None = Field(None, ge=-360, le=360)
     azimuth_sigma_deg: float | None = Field(None, ge=0, le=360)
@@ -52,6 +55,7 @@ class ReferenceMeta(_Section):
     heading_deg: float = Field(0.0, ge=-360, le=360)
     level_sigma_deg: float | None = Field(None, ge=0, le=90)
     level_frame: Literal["tangent", "body"] = "tangent"
+    alignment: Literal["rest", "inertial"] = "rest"
 
     @model_validator(mode="after")
     def _level_is_whole(self) -> Self:

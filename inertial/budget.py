@@ -25,11 +25,12 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from inertial.attitude import skew
-from inertial.documents import CHANNELS, Noise
+from inertial.documents import CHANNELS, Noise, Uncertainty
 from inertial.earth import Site
 from inertial.increment_covariance import integral_covariances
 from inertial.observability import TERMS
 from inertial.optimal import OptimalEstimate, channel_noises
+from inertial.rest_response import AtRest
 from inertial.strapdown import CORIOLIS, Navigation
 
 Array = NDArray[np.float64]
@@ -37,6 +38,8 @@ Array = NDArray[np.float64]
 _STEP_S = 0.1
 _NOISE_SPANS = 200
 _CANCELLED = 0.01  # of its parts: what is left of an unseen direction that the same attitude takes out again
+_DOCUMENT_SPAN_S = 5.0  # weights run smoothly over minutes: their variance keeps to a per cent
+_NO_GAIN = 1e-12
 _REACH = 9.0  # σ beyond which a normal variable has no probability to speak of
 
 
@@ -98,6 +101,57 @@ class Errors:
     spans_s: Array | None = None
 
     @classmethod
+    def of_document(cls, document: Uncertainty) -> Errors:
+        """Return the errors that a result speaks of."""
+        order = tuple(document.order)
+        gain = np.zeros((len(order), len(CHANNELS), len(document.spans_s)))
+        for channel, by_name in document.gain.items():
+            for name, weights in by_name.items():
+                gain[order.index(name), CHANNELS.index(channel)] = weights
+        return cls(
+            order,
+            {name: np.array(part, dtype=np.float64) for name, part in document.sources.items()},
+            np.array([[weights.get(name, 0.0) for name in order] for weights in document.unbounded]).reshape(
+                -1, len(order)
+            ),
+            np.array(document.attitude_slope),
+            gain,
+            np.array(document.spans_s),
+        )
+
+    def to_document(self, C_tb: Array, azimuth_rad: float, span_s: float = _DOCUMENT_SPAN_S) -> Uncertainty:
+        """Return the errors as a result keeps them, the past noise in spans of about ``span_s``.
+
+        Raises
+        ------
+        ValueError
+            Errors without the noise that made them.
+        """
+        if self.gain is None or self.spans_s is None:
+            raise ValueError("these errors do not tell the noise that made them; give those of an estimate")
+        gain, spans = _merged(self.gain, self.spans_s, span_s)
+        return Uncertainty(
+            order=list(self.order),
+            sources={name: part.tolist() for name, part in self.sources.items()},
+            unbounded=[
+                {name: float(weight) for name, weight in zip(self.order, direction, strict=True) if weight}
+                for direction in self.unbounded
+            ],
+            attitude_slope=self.attitude_slope.tolist(),
+            spans_s=[(float(start), float(end)) for start, end in spans],
+            gain={
+                channel: {
+                    name: gain[n, c].tolist()
+                    for n, name in enumerate(self.order)
+                    if np.max(np.abs(gain[n, c])) > _NO_GAIN * np.max(np.abs(gain[n]))
+                }
+                for c, channel in enumerate(CHANNELS)
+            },
+            C_tb=np.asarray(C_tb).tolist(),
+            azimuth_rad=azimuth_rad,
+        )
+
+    @classmethod
     def of_estimate(cls, estimate: OptimalEstimate, attitude: int = -1) -> Errors:
         """Return what an optimal estimate leaves, at its last attitude unless another is asked for."""
         sources = {name: part for name, part in estimate.sources.items() if not name.startswith("noise of ")}
@@ -119,29 +173,48 @@ class Errors:
     @classmethod
     def of_chain(
         cls,
-        noise_covariance: ArrayLike,
-        C_tb: ArrayLike,
+        found: AtRest,
         site: Site,
-        azimuth_rad: float,
         level_sigma_rad: float,
         azimuth_sigma_rad: float,
+        rectified_covariance: ArrayLike | None = None,
     ) -> Errors:
-        """Return what the paper's chain leaves: noise (6, 6), and a reference whose errors the terms took in."""
+        """Return what the paper's chain leaves: its noise, a reference whose errors the terms took in, and (6, 6) of
+        the noise that the sign split rectified.
+        """
         order = (*TERMS, "level_1", "level_2", "azimuth")
-        C_bt = np.asarray(C_tb).T
-        earth = site.earth_rate_radps(azimuth_rad)
+        C_bt = found.C_tb.T
+        earth = site.earth_rate_radps(found.azimuth_rad)
         force = np.array([0.0, 0.0, site.gravity_mps2])
         taken_in = np.zeros((9, 3))
         taken_in[0:3, :2] = (C_bt @ skew(force))[:, :2]
         taken_in[3:6, :2] = (C_bt @ skew(earth))[:, :2]
         taken_in[3:6, 2] = C_bt @ np.cross([0.0, 0.0, 1.0], earth)
         taken_in[6:9] = np.eye(3)
-        noise = np.zeros((9, 9))
-        noise[:6, :6] = noise_covariance
         level = level_sigma_rad**2 * taken_in[:, :2] @ taken_in[:, :2].T
         azimuth = azimuth_sigma_rad**2 * np.outer(taken_in[:, 2], taken_in[:, 2])
-        sources = {"noise in the terms": noise, "level reference": level, "azimuth reference": azimuth}
-        return cls(order, sources, _none(order), _slope(order))
+        sources = {"level reference": level, "azimuth reference": azimuth}
+        if rectified_covariance is not None and np.any(rectified_covariance):
+            sources["rectification"] = np.zeros((9, 9))
+            sources["rectification"][:6, :6] = rectified_covariance
+        duration = found.spans_s[:, 1] - found.spans_s[:, 0]
+        gain = np.zeros((9, len(CHANNELS), len(duration)))
+        gain[:6] = found.weights.transpose(0, 2, 1) / duration
+        return cls(order, sources, _none(order), _slope(order), gain, found.spans_s)
+
+
+def _merged(gain: Array, spans_s: Array, length_s: float) -> tuple[Array, Array]:
+    """Return gain (n, 6, k) and spans (k, 2) of neighbours taken together, each as their mean by duration."""
+    duration = spans_s[:, 1] - spans_s[:, 0]
+    starts = [0]
+    for k in range(1, len(spans_s)):
+        gap = spans_s[k, 0] - spans_s[k - 1, 1]
+        if gap > 0.1 * length_s or spans_s[k, 1] - spans_s[starts[-1], 0] > 1.001 * length_s:
+            starts.append(k)
+    ends = [*starts[1:], len(spans_s)]
+    total = np.add.reduceat(duration, starts)
+    merged = np.add.reduceat(gain * duration, starts, axis=2) / total
+    return np.asarray(merged), np.column_stack([spans_s[starts, 0], spans_s[np.array(ends) - 1, 1]])
 
 
 def _none(order: Sequence[str]) -> Array:

@@ -29,7 +29,7 @@ from inertial.earth import Site
 from inertial.error_model import Coefficients, Terms
 from inertial.increments import Increments
 from inertial.observability import TERMS, describe, tilt_axes
-from inertial.rest_response import functional_covariance, node_response
+from inertial.rest_response import AtRest, functional_covariance, node_response
 from inertial.strapdown import PAPER_CORIOLIS, navigate
 
 Array = NDArray[np.float64]
@@ -61,14 +61,16 @@ class ChainResult:
 
     ``noise_covariance`` (6, 6) is what the sensors' noise in the stages left in the terms. ``reference_covariance``
     (6, 6) is what the errors of level and azimuth and the rectified noise put there: it stays the same at the same
-    attitude, so navigation at rest does not show it. ``weights`` (6, b, 6) on the mean noise over ``spans_s`` (b, 2)
-    make the former (see :mod:`inertial.rest_response`).
+    attitude, so navigation at rest does not show it; ``rectified_covariance`` (6, 6) is the rectified noise's share.
+    ``weights`` (6, b, 6) on the mean noise over ``spans_s`` (b, 2) make the former (see
+    :mod:`inertial.rest_response`).
     """
 
     stages: tuple[Stage, ...]
     alignment: Alignment
     noise_covariance: Array
     reference_covariance: Array
+    rectified_covariance: Array
     unseen: tuple[bool, ...]
     unobservable: tuple[Combination, ...]
     weights: Array
@@ -90,6 +92,14 @@ class ChainResult:
         """Return 1σ of the six terms, None where nothing bounds the term."""
         deviation = np.sqrt(np.diag(self.covariance))
         return [None if unseen else float(s) for s, unseen in zip(deviation, self.unseen, strict=True)]
+
+    @property
+    def at_rest(self) -> AtRest:
+        """Return what the terms make of later readings at this attitude, where the reference's errors cancel."""
+        alignment = self.alignment
+        return AtRest(
+            self.terms, alignment.C_tb, alignment.azimuth_rad, self.weights, self.spans_s, offset=np.zeros((6, 6))
+        )
 
 
 def paper_stage(
@@ -186,12 +196,13 @@ def paper_chain(
         stages.append(paper_stage(window, alignment, site, coefficients, terms, coriolis=coriolis))
     weights, spans, gain = _chain_weights(windows, alignment, site, coefficients, coriolis)
     noise_part = functional_covariance(weights, spans, noise, reference_s=float(spans[-1, 1]))
-    reference_part = _reference_part(alignment, site, gain) + _rectified_part(windows, coefficients)
+    rectified_part = _rectified_part(windows, coefficients)
     return ChainResult(
         tuple(stages),
         alignment,
         noise_part,
-        reference_part,
+        _reference_part(alignment, site, gain) + rectified_part,
+        rectified_part,
         _unseen(alignment, site),
         _unobservable(alignment, site),
         weights,

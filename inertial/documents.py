@@ -158,6 +158,39 @@ class Combination(Document):
     text: str
 
 
+class Uncertainty(Document):
+    """What a navigation that starts with a result is unsure of: all that an error budget needs.
+
+    ``order`` names the errors (estimated less true, SI): the six terms, ``level_1 level_2 azimuth`` and turns.
+    ``sources``: their covariance by independent cause, sensor noise apart. ``unbounded``: combinations, weights by
+    name, that nothing bounds. ``attitude_slope`` (3, n) makes the attitude error in tangent axes. ``gain``: error by
+    channel and name, for each of ``spans_s``, per unit of the channel's noise integrated over the span; later noise
+    hangs together with it. ``C_tb``, ``azimuth_rad``: where the block stands.
+    """
+
+    order: list[str]
+    sources: dict[str, list[list[float]]]
+    unbounded: list[dict[str, float]]
+    attitude_slope: list[list[float]]
+    spans_s: list[tuple[float, float]]
+    gain: dict[str, dict[str, list[float]]]
+    C_tb: list[Vector3]
+    azimuth_rad: float
+
+
+class Observability(Document):
+    """How well the run sees its unknowns, in ``order`` of the result.
+
+    ``singular_values`` of the whitened problem (unknowns in units of gravity, Earth rate and rad): the smallest belong
+    to what is hardly seen. ``correlation`` of the errors. ``fit``: reduced χ² of each sensor about rest, near 1 where
+    the noise is what was said.
+    """
+
+    singular_values: list[float]
+    correlation: list[list[float]]
+    fit: list[float]
+
+
 class WindowRecord(Document):
     """Half-open span of device time [s] that one step used."""
 
@@ -182,6 +215,9 @@ class Result(Document):
     order: list[str]
     covariance: list[list[float | None]]
     unobservable: list[Combination]
+    observability: Observability | None = None
+    uncertainty: Uncertainty | None = None
+    budget: dict[str, Any] | None = None
     noise: Noise
     reference: dict[str, Any]
     site: dict[str, float]

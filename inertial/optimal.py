@@ -33,6 +33,7 @@ from inertial.earth import EARTH_RATE_RADPS, Site
 from inertial.error_model import Coefficients, Terms, true_from_readings
 from inertial.increment_covariance import integral_covariances
 from inertial.observability import TERMS, UNSEEN_RAD, Unseen, correlation, name_unseen, unseen_directions
+from inertial.rest_response import AtRest
 
 Array = NDArray[np.float64]
 
@@ -209,6 +210,14 @@ class OptimalEstimate:
         """
         duration = self.spans_s[:, 1] - self.spans_s[:, 0]
         return np.asarray(-np.einsum("sn,ncm->smc", self.sensitivity[-1], self.gain) * duration[:, None])
+
+    @property
+    def at_rest(self) -> AtRest:
+        """Return what the estimate makes of later readings at rest in the last attitude."""
+        sensitivity = self.sensitivity[-1]
+        parts = self.reference_covariance + self.sources.get(_BELIEF, np.zeros_like(self.covariance))
+        offset = sensitivity @ parts @ sensitivity.T
+        return AtRest(self.terms, self.C_tb[-1], self.azimuth_rad, self.rest_weights, self.spans_s, offset)
 
     @property
     def noise_covariance(self) -> Array:

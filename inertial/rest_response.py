@@ -11,15 +11,36 @@ integrated over short spans (:mod:`inertial.increment_covariance`).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from inertial.attitude import skew
 from inertial.documents import Noise
+from inertial.error_model import Terms
 from inertial.increment_covariance import integral_covariance
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """What an estimate makes of the readings of a block that goes on standing as it did.
+
+    ``terms`` to apply, attitude ``C_tb`` (3, 3) and ``azimuth_rad`` that they go with. The compensated readings
+    (f x, y, z [m/s²], g x, y, z [rad/s], body axes) are then off by ``weights`` (6, b, 6) on the mean noise of each
+    sensor over ``spans_s`` (b, 2), and by a constant of covariance ``offset`` (6, 6) that is independent of noise: what
+    the reference still shows at this attitude.
+    """
+
+    terms: Terms
+    C_tb: Array
+    azimuth_rad: float
+    weights: Array
+    spans_s: Array
+    offset: Array
 
 
 def transition(duration_s: float, gravity_mps2: float, earth_rate_radps: Array, coriolis: float) -> tuple[Array, Array]:

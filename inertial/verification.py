@@ -3,8 +3,8 @@
 From C₀ and zero velocity over a window that the terms have not seen, velocity and attitude should stay zero to within
 the noise that went into the terms, carried through the window, and the window's own. Both are sums over the same
 sensors' noise, so slow noise that the two share is not counted twice. Errors of the reference's level and azimuth are
-inside the terms and cancel at the same attitude: they are not tested here. The squared length of the six errors in
-their own covariance is χ² with six degrees of freedom.
+inside the terms and cancel at the same attitude: they are not tested here, but where stages in two attitudes disagree
+about them. The squared length of the six errors in their own covariance is χ² with six degrees of freedom.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from inertial.attitude import rotation_vector
-from inertial.compensation import ChainResult, body_to_tangent_pair, reading_sensitivity
+from inertial.compensation import body_to_tangent_pair, reading_sensitivity
 from inertial.documents import Noise
 from inertial.earth import Site
 from inertial.error_model import Coefficients, Terms
 from inertial.increments import Increments
-from inertial.rest_response import functional_covariance, node_response
+from inertial.rest_response import AtRest, functional_covariance, node_response
 from inertial.strapdown import CORIOLIS, navigate
 
 Array = NDArray[np.float64]
@@ -65,29 +65,28 @@ def rest_errors(
     return motion.velocity_mps[-1].copy(), rotation_vector(motion.C_tb[-1] @ C_tb.T)
 
 
-def verify(
-    window: Increments, chain: ChainResult, site: Site, coefficients: Coefficients, noise: Noise
-) -> Verification:
-    """Navigate a fresh window at rest with the chain's terms and compare with the prediction.
+def verify(window: Increments, found: AtRest, site: Site, coefficients: Coefficients, noise: Noise) -> Verification:
+    """Navigate a fresh window at rest with the terms found and compare with the prediction.
 
     Parameters
     ----------
     window
-        Later than the chain's windows and apart from them.
+        Later than the windows of the estimate and apart from them.
     noise
-        The one the chain's covariance was made with.
+        The one the estimate's covariance was made with.
     """
-    alignment = chain.alignment
-    velocity, attitude = rest_errors(window, alignment.C_tb, alignment.azimuth_rad, site, coefficients, chain.terms)
-    turn = body_to_tangent_pair(alignment.C_tb)
-    earth_rate = site.earth_rate_radps(alignment.azimuth_rad)
+    velocity, attitude = rest_errors(window, found.C_tb, found.azimuth_rad, site, coefficients, found.terms)
+    turn = body_to_tangent_pair(found.C_tb)
+    earth_rate = site.earth_rate_radps(found.azimuth_rad)
     response = node_response(window.duration_s, 1, _SPANS, site.gravity_mps2, earth_rate, CORIOLIS)[0] @ turn
     fresh = (response @ reading_sensitivity([window], coefficients)).transpose(1, 0, 2)
-    carried = np.einsum("ab,bjc->ajc", response.sum(axis=0), chain.weights)
+    whole = response.sum(axis=0)
+    carried = np.einsum("ab,bjc->ajc", whole, found.weights)
     edges = window.start_s + np.linspace(0.0, window.duration_s, _SPANS + 1)
-    spans = np.vstack([chain.spans_s, np.column_stack([edges[:-1], edges[1:]])])
+    spans = np.vstack([found.spans_s, np.column_stack([edges[:-1], edges[1:]])])
     weights = np.concatenate([carried, fresh], axis=1)
-    covariance = functional_covariance(weights, spans, noise, reference_s=float(chain.spans_s[-1, 1]))
+    covariance = functional_covariance(weights, spans, noise, reference_s=float(found.spans_s[-1, 1]))
+    covariance += whole @ found.offset @ whole.T
     return Verification(
         velocity,
         attitude,

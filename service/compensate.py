@@ -6,17 +6,14 @@ windows it used; so does anybody later who reads that recording.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
-
-import numpy as np
+from typing import Any, Literal, get_args
 
 from drivers.recording import Recording
 from inertial.alignment import Alignment, coarse_alignment
-from inertial.attitude import roll_pitch_heading
-from inertial.compensation import ChainResult, paper_chain, paper_stage
 from inertial.documents import (
     BlockModel,
     Calibration,
@@ -29,23 +26,35 @@ from inertial.documents import (
     parse_document,
 )
 from inertial.error_model import Terms
-from inertial.increments import Increments
-from inertial.verification import Verification, verify
+from inertial.inertial_alignment import inertial_alignment
+from inertial.verification import verify
+from service import facts
 from service.block_noise import audible, noise_of_span
+from service.budget import rest_budget
 from service.errors import RefusedInput
+from service.methods import DEFAULT_METHOD, Findings, Material, method_named
 from service.physical import Physical
 from service.still_spans import described_rest, movement, noise_to_judge_by, still_spans
-from service.verdict import SIGNIFICANT_SIGMA, Window, judge
-from service.windows import SHORTEST_S, STAGES, automatic_windows, recorded_windows
+from service.verdict import Window, judge
+from service.windows import (
+    INERTIAL_ALIGN_S,
+    NOMINAL_S,
+    SHORTEST_S,
+    STAGES,
+    attitude_windows,
+    automatic_windows,
+    recorded_windows,
+)
 
-METHODS = ("paper",)
-ORDER = ["f_x", "f_y", "f_z", "g_x", "g_y", "g_z"]
+AlignmentKind = Literal["rest", "inertial"]
+ALIGNMENTS: tuple[AlignmentKind, ...] = get_args(AlignmentKind)
 
 
 def compensate(
     recording: Recording,
     *,
-    method: str = "paper",
+    method: str = DEFAULT_METHOD,
+    alignment: AlignmentKind | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
     calibration: Calibration | None = None,
@@ -57,9 +66,13 @@ def compensate(
     ----------
     recording
         With site and reference. Its ``[[window]]`` entries are used as they are; without them, or where a span is asked
-        for, windows are chosen: the first span that is still, 30 s to align, 3 × 60 s, 60 s to verify.
+        for, windows are chosen: the first span that is still, 30 s to align, 3 × 60 s, 60 s to verify; or, with
+        ``"optimal"``, two rests with turns of stated σ between them, the stages shared out.
     method
-        ``"paper"``: three chained stages.
+        ``"optimal"``: all pooled in one weighted least squares; ``"paper"``: three chained stages.
+    alignment
+        How the attitude that the reference does not give is found: ``"rest"`` by averaging, ``"inertial"`` on a
+        launcher that sways. Without it as the recording's reference says.
     start_s, end_s
         Device time to keep to [s].
     calibration
@@ -72,49 +85,51 @@ def compensate(
     RefusedInput, RecordingError, DocumentError
         The recording cannot be analysed at all. A block that moved is no error but a result that is not fit.
     """
-    if method not in METHODS:
-        raise RefusedInput("method", f"{method!r} is not known.", f"Known: {', '.join(METHODS)}.")
+    way = method_named(method)
     model = model or _model_of(recording)
     physical = Physical.of(recording, calibration, model)
-    windows = _windows(physical, start_s, end_s)
-    spans = {window.kind: physical.span(window.start_s, window.end_s) for window in windows}
-    noise, noise_source = _noise(physical, windows, model)
+    kind = _alignment_kind(physical, alignment)
+    windows = _windows(physical, start_s, end_s, method, kind)
+    material = _material(physical, windows, model, kind)
+    last = windows[-1]
     try:
-        alignment = _align(physical, windows[0], spans["align"], noise)
-        chain = paper_chain([spans[kind] for kind in STAGES], alignment, physical.site, physical.coefficients, noise)
-        verification = verify(spans["verify"], chain, physical.site, physical.coefficients, noise)
+        found = way.findings(material)
+        fresh = physical.span(last.start_s, last.end_s)
+        verification = verify(fresh, found.at_rest, physical.site, physical.coefficients, found.noise)
     except ValueError as error:
-        raise RefusedInput(physical.name, f"{error}.", "Check its calibration, units and site.") from None
-    quiet = noise_to_judge_by(physical, windows[0].start_s, windows[-1].end_s)
-    checked: dict[str, Window] = {
-        window.kind: _checked(physical, window, spans[window.kind], quiet) for window in windows
-    }
-    judgement = judge(checked, chain, verification)
-    return Result(
+        raise _refused(physical, error) from None
+    checked = _checked(physical, windows, kind)
+    judgement = judge(checked, found, verification)
+    result = Result(
         software=f"inertrim {version('inertrim')}",
-        method="paper",
+        method=method,
         state="READY" if judgement.fit else "FAULT",
         verdict=judgement.verdict,
         fit=judgement.fit,
         reasons=judgement.reasons,
         windows=windows,
-        terms=_stage_terms(chain),
-        sigma=Sigma(f_mps2=chain.sigma[:3], g_radps=chain.sigma[3:]),
-        order=ORDER,
-        covariance=_covariance(chain),
-        unobservable=_unobservable(chain, recording),
-        noise=noise,
-        reference=_reference_facts(physical, noise_source),
-        site=_site_facts(physical),
-        alignment=_alignment_facts(alignment),
-        verification=_verification_facts(verification),
-        conditions=_condition_facts(physical, windows, checked),
-        block=_block_facts(physical),
+        terms=_stage_terms(found),
+        sigma=Sigma(f_mps2=found.sigma[:3], g_radps=found.sigma[3:]),
+        order=list(found.order),
+        covariance=_covariance(found),
+        unobservable=_unobservable(found, recording),
+        observability=found.observability,
+        uncertainty=found.errors.to_document(found.alignment.C_tb, found.alignment.azimuth_rad),
+        noise=found.noise,
+        reference=facts.reference_facts(physical, _noise_source(model), kind),
+        site=facts.site_facts(physical),
+        alignment=facts.alignment_facts(found.alignment),
+        verification=facts.verification_facts(verification),
+        conditions=facts.condition_facts(physical, windows, checked),
+        block=facts.block_facts(physical),
         inputs={**recording.inputs(), **_document_inputs(calibration, model, recording)},
     )
+    return result.model_copy(update={"budget": rest_budget(result)})
 
 
-def partial(recording: Recording, windows: Sequence[WindowRecord], *, method: str = "paper") -> dict[str, StageTerms]:
+def partial(
+    recording: Recording, windows: Sequence[WindowRecord], *, method: str = DEFAULT_METHOD
+) -> dict[str, StageTerms]:
     """Return the terms after each stage whose window is given, for progress while a run goes on.
 
     Parameters
@@ -122,19 +137,11 @@ def partial(recording: Recording, windows: Sequence[WindowRecord], *, method: st
     windows
         ``align`` and, in order, the stages there are so far. The numbers are those of the final result.
     """
-    del method
-    physical = Physical.of(recording, model=_model_of(recording))
-    by_kind = {window.kind: window for window in windows}
-    first = by_kind["align"]
-    alignment = _align(physical, first, physical.span(first.start_s, first.end_s), Noise())
-    terms = Terms.zero()
-    found: dict[str, StageTerms] = {}
-    for kind in STAGES:
-        if kind in by_kind:
-            span = physical.span(by_kind[kind].start_s, by_kind[kind].end_s)
-            terms = paper_stage(span, alignment, physical.site, physical.coefficients, terms).terms
-            found[kind] = _document(terms)
-    return found
+    model = _model_of(recording)
+    physical = Physical.of(recording, model=model)
+    material = _material(physical, windows, model, _alignment_kind(physical, None))
+    stages = method_named(method).stages(material) if material.windows else []
+    return {window.kind: _document(terms) for window, terms in zip(material.windows, stages, strict=True)}
 
 
 def noise_at_rest(recording: Recording) -> Noise:
@@ -152,7 +159,15 @@ def _model_of(recording: Recording) -> BlockModel | None:
     return None if path is None else parse_document(BlockModel, path.read_bytes(), str(path))
 
 
-def _windows(physical: Physical, start_s: float | None, end_s: float | None) -> list[WindowRecord]:
+def _refused(physical: Physical, error: ValueError) -> RefusedInput:
+    if isinstance(error, RefusedInput):
+        return error
+    return RefusedInput(physical.name, f"{error}.", "Check its calibration, units and site.")
+
+
+def _windows(
+    physical: Physical, start_s: float | None, end_s: float | None, method: str, alignment: AlignmentKind
+) -> list[WindowRecord]:
     """Return the windows to use: the recording's own, else chosen where the block stands still.
 
     Where it stands still for too short, they are laid where its description says that it rests: the check of each
@@ -165,17 +180,54 @@ def _windows(physical: Physical, start_s: float | None, end_s: float | None) -> 
     low = max(physical.start_s, -math.inf if start_s is None else start_s)
     high = min(physical.end_s, math.inf if end_s is None else end_s)
     still = still_spans(physical, low, high)
+    nominal = {**NOMINAL_S, "align": INERTIAL_ALIGN_S} if alignment == "inertial" else NOMINAL_S
+    if method == "optimal":
+        known = [(t.start_s, t.end_s) for t in physical.turns_between(low, high) if t.angle_sigma_deg is not None]
+        if (shared := attitude_windows(still, known, nominal)) is not None:
+            return shared
     if any(end - begin >= SHORTEST_S for begin, end in still):
-        return automatic_windows(still, physical.name)
-    return automatic_windows(described_rest(physical, low, high), physical.name)
+        return automatic_windows(still, physical.name, nominal)
+    return automatic_windows(described_rest(physical, low, high), physical.name, nominal)
 
 
-def _noise(physical: Physical, windows: Sequence[WindowRecord], model: BlockModel | None) -> tuple[Noise, str]:
-    """Return the noise that the covariance is made with, and where it is from."""
-    if model is not None and not model.noise.free and model.noise != Noise():
-        return audible(model.noise), "block model"
+def _material(
+    physical: Physical, windows: Sequence[WindowRecord], model: BlockModel | None, alignment: AlignmentKind
+) -> Material:
+    """Return what there is for a method to work on, with the windows up to now."""
+    stages = [window for window in windows if window.kind in STAGES]
+    _refuse_turns_outside(physical, windows)
+    return Material(
+        physical=physical,
+        alignment=_aligned(physical, windows[0], model, alignment),
+        windows=stages,
+        spans=[physical.span(window.start_s, window.end_s) for window in stages],
+        noise=[_noise(physical, windows[: k + 2], model) for k in range(len(stages))],
+    )
+
+
+def _refuse_turns_outside(physical: Physical, windows: Sequence[WindowRecord]) -> None:
+    """Refuse a turn beside ``align`` or ``verify``: an attitude that no stage has seen is neither start nor proof."""
+    for before, after in itertools.pairwise(windows):
+        outside = before.kind == "align" or after.kind == "verify"
+        if outside and physical.turns_between(before.end_s, after.start_s):
+            raise RefusedInput(
+                physical.name,
+                f"the block turns between its windows {before.kind} and {after.kind}.",
+                "Put align at the attitude of the first stage and verify at that of the last.",
+            )
+
+
+def _noise(physical: Physical, windows: Sequence[WindowRecord], model: BlockModel | None) -> Noise:
+    """Return the noise to weigh with: the model's, else as the windows up to now show it (``free``)."""
+    if model is not None and _noise_source(model) == "block model":
+        return audible(model.noise)
     longest = max(_contiguous(windows), key=lambda span: span[1] - span[0])
-    return noise_of_span(physical.span(*longest), physical.name), "these data"
+    return noise_of_span(physical.span(*longest), physical.name).model_copy(update={"free": True})
+
+
+def _noise_source(model: BlockModel | None) -> str:
+    given = model is not None and not model.noise.free and model.noise != Noise()
+    return "block model" if given else "these data"
 
 
 def _contiguous(windows: Sequence[WindowRecord]) -> list[tuple[float, float]]:
@@ -189,35 +241,56 @@ def _contiguous(windows: Sequence[WindowRecord]) -> list[tuple[float, float]]:
     return spans
 
 
-def _align(physical: Physical, window: WindowRecord, span: Increments, noise: Noise) -> Alignment:
-    reference = physical.reference_at(window.start_s)
-    return coarse_alignment(span, physical.coefficients, physical.site, reference, noise)
+def _alignment_kind(physical: Physical, asked: AlignmentKind | None) -> AlignmentKind:
+    return asked or physical.recording.meta.reference.alignment
 
 
-def _checked(physical: Physical, window: WindowRecord, span: Increments, quiet: Noise) -> Window:
-    samples = physical.recording.samples[physical.rows(window.start_s, window.end_s)]
-    return Window(span, samples, movement(physical, quiet, window.start_s, window.end_s))
+def _aligned(physical: Physical, window: WindowRecord, model: BlockModel | None, kind: AlignmentKind) -> Alignment:
+    """Return the attitude that the window ``align`` leads to."""
+    align = inertial_alignment if kind == "inertial" else coarse_alignment
+    # On a swaying launcher the data's own noise is sway: only a model tells that of the sensors.
+    noise = audible(model.noise) if model is not None and _noise_source(model) == "block model" else Noise()
+    span, reference = physical.span(window.start_s, window.end_s), physical.reference_at(window.start_s)
+    try:
+        return align(span, physical.coefficients, physical.site, reference, noise)
+    except ValueError as error:
+        raise _refused(physical, error) from None
+
+
+def _checked(physical: Physical, windows: Sequence[WindowRecord], alignment: AlignmentKind) -> dict[str, Window]:
+    """Return what the checks look at; a launcher may sway while it is aligned in an inertial frame."""
+    quiet = noise_to_judge_by(physical, windows[0].start_s, windows[-1].end_s)
+    return {
+        window.kind: Window(
+            physical.span(window.start_s, window.end_s),
+            physical.recording.samples[physical.rows(window.start_s, window.end_s)],
+            None
+            if window.kind == "align" and alignment == "inertial"
+            else movement(physical, quiet, window.start_s, window.end_s),
+        )
+        for window in windows
+    }
 
 
 def _document(terms: Terms) -> StageTerms:
     return StageTerms(f_mps2=terms.f_mps2.tolist(), g_radps=terms.g_radps.tolist())
 
 
-def _stage_terms(chain: ChainResult) -> dict[Any, StageTerms]:
-    found = {kind: _document(stage.terms) for kind, stage in zip(STAGES, chain.stages, strict=True)}
-    return {**found, "final": _document(chain.terms)}
+def _stage_terms(found: Findings) -> dict[Any, StageTerms]:
+    stages = {kind: _document(terms) for kind, terms in zip(STAGES, found.stages, strict=True)}
+    return {**stages, "final": _document(found.terms)}
 
 
-def _covariance(chain: ChainResult) -> list[list[float | None]]:
-    """Return the covariance; null in the rows and columns of terms that nothing bounds."""
+def _covariance(found: Findings) -> list[list[float | None]]:
+    """Return the covariance; null in the rows and columns of what nothing bounds."""
     return [
-        [None if chain.unseen[i] or chain.unseen[j] else float(value) for j, value in enumerate(row)]
-        for i, row in enumerate(chain.covariance)
+        [None if found.unseen[i] or found.unseen[j] else float(value) for j, value in enumerate(row)]
+        for i, row in enumerate(found.covariance)
     ]
 
 
-def _unobservable(chain: ChainResult, recording: Recording) -> list[Combination]:
-    hidden = list(chain.unobservable)
+def _unobservable(found: Findings, recording: Recording) -> list[Combination]:
+    hidden = list(found.unobservable)
     if recording.meta.site.gravity_mps2 is None:
         hidden.append(
             Combination(
@@ -229,72 +302,6 @@ def _unobservable(chain: ChainResult, recording: Recording) -> list[Combination]
             )
         )
     return hidden
-
-
-def _reference_facts(physical: Physical, noise_source: str) -> dict[str, Any]:
-    given = physical.recording.meta.reference.model_dump(exclude_none=True)
-    gravity = "normal gravity" if physical.recording.meta.site.gravity_mps2 is None else "surveyed"
-    return {**given, "gravity": gravity, "noise": noise_source, "significant_sigma": SIGNIFICANT_SIGMA}
-
-
-def _site_facts(physical: Physical) -> dict[str, float]:
-    site = physical.site
-    return {
-        "latitude_deg": math.degrees(site.latitude_rad),
-        "height_m": site.height_m,
-        "gravity_mps2": site.gravity_mps2,
-    }
-
-
-def _alignment_facts(alignment: Alignment) -> dict[str, Any]:
-    roll, pitch, heading = (math.degrees(angle) for angle in roll_pitch_heading(alignment.C_tb))
-    return {
-        "level_source": alignment.level_source,
-        "azimuth_source": alignment.azimuth_source,
-        "azimuth_deg": math.degrees(alignment.azimuth_rad),
-        "azimuth_sigma_deg": math.degrees(alignment.azimuth_sigma_rad),
-        "roll_deg": roll,
-        "pitch_deg": pitch,
-        "heading_deg": heading,
-        "level_sigma_deg": math.degrees(alignment.level_sigma_rad),
-        "C_tb": alignment.C_tb.tolist(),
-    }
-
-
-def _verification_facts(verification: Verification) -> dict[str, Any]:
-    return {
-        "passed": verification.passed,
-        "chi_square": verification.statistic,
-        "limit": verification.limit,
-        "degrees_of_freedom": 6,
-        "duration_s": verification.duration_s,
-        "velocity_mps": verification.velocity_mps.tolist(),
-        "attitude_rad": verification.attitude_rad.tolist(),
-        "sigma_velocity_mps": verification.sigma[:3].tolist(),
-        "sigma_attitude_rad": verification.sigma[3:].tolist(),
-    }
-
-
-def _condition_facts(
-    physical: Physical, windows: Sequence[WindowRecord], checked: Mapping[str, Window]
-) -> dict[str, Any]:
-    rows = physical.rows(windows[0].start_s, windows[-1].end_s)
-    samples = physical.recording.samples[rows]
-    facts: dict[str, Any] = {
-        "sample_rate_hz": float(1.0 / np.median(physical.interval_s[rows])),
-        "samples": len(samples),
-        "frames_repaired": sum(window.span.repaired for window in checked.values()),
-    }
-    temperature = np.asarray(samples["temperature"][:, 0], dtype=np.float64)
-    if np.any(np.isfinite(temperature)):
-        facts["temperature_mean_c"] = float(np.nanmean(temperature))
-        facts["temperature_range_c"] = [float(np.nanmin(temperature)), float(np.nanmax(temperature))]
-    return facts
-
-
-def _block_facts(physical: Physical) -> dict[str, Any]:
-    block = physical.recording.meta.block
-    return {"gyro_kind": block.gyro_kind or "", "calibration": physical.calibration}
 
 
 def _document_inputs(calibration: Calibration | None, model: BlockModel | None, recording: Recording) -> dict[str, str]:

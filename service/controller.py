@@ -222,7 +222,8 @@ class Controller:
             self._sequencer.check("start")
             if self.line is not None:
                 self.line.capture_to(folder.capture)
-            self._sequencer.start(record.id, self.timebase.now_s())
+            swaying = self._reference(request).alignment == "inertial"
+            self._sequencer.start(record.id, self.timebase.now_s(), swaying=swaying)
             self._dispatch()
 
     def abort_run(self, run_id: str, who: str, why: str = "") -> None:
@@ -263,9 +264,8 @@ class Controller:
         self._sequencer.check(command)
 
     def _reference(self, request: dict[str, Any]) -> ReferenceSettings:
-        azimuth_deg = request.get("azimuth_deg")
-        reference = self.settings.reference
-        return reference if azimuth_deg is None else reference.model_copy(update={"azimuth_deg": azimuth_deg})
+        asked = {key: request[key] for key in ("azimuth_deg", "alignment") if request.get(key) is not None}
+        return self.settings.reference.model_copy(update=asked)
 
     def _missing(self) -> list[str]:
         """Settings without which no run can start."""

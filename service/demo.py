@@ -16,6 +16,7 @@ import tomli_w
 from drivers.recording import read_recording
 from inertial.documents import BlockModel, Result, parse_document
 from service.compensate import compensate
+from service.methods import DEFAULT_METHOD
 from service.processes import Processes, free_port
 from service.trials import distances, planted, trials, worth
 from simulators.scenarios import Scenario, demo_model, demo_scenario
@@ -151,7 +152,7 @@ def run_demo(path: Path, seed: int, speed: float, show: Show) -> dict[str, Any]:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=10.0) as client:
             console = Console(client, processes)
             console.wait_for_service()
-            run_id = console.start_run("paper")
+            run_id = console.start_run(DEFAULT_METHOD)
             begun_s = time.monotonic()
             status = console.follow(show, RUN_TIMEOUT_S / speed + START_TIMEOUT_S)
             took_s = time.monotonic() - begun_s

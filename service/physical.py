@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.recording import Recording
+from drivers.recording_meta import TurnMeta
 from drivers.samples import intervals_s
 from inertial.alignment import Reference
 from inertial.attitude import body_to_tangent, roll_pitch_heading, rotation_matrix
@@ -102,6 +103,11 @@ class Physical:
         if reference.roll_rad is None:
             return replace(reference, heading_rad=heading)
         return replace(reference, roll_rad=roll, pitch_rad=pitch, heading_rad=heading)
+
+    def turns_between(self, start_s: float, end_s: float) -> list[TurnMeta]:
+        """Return the turns described within a span of device time."""
+        motions = self.recording.meta.motion
+        return [m for m in motions if m.kind == "turn" and m.start_s >= start_s and m.end_s <= end_s]
 
 
 def site_of(recording: Recording) -> Site:

@@ -25,9 +25,11 @@ from service.config import SequenceSettings
 from service.monitors import DPH_RADPS, MG_MPS2, OVERRANGE, FlagMonitor, Settled, SettlingMonitor, StuckMonitor
 from service.states import OPERATOR_COMMANDS, PATH, RESUMABLE, WINDOWS, Name, TrimStates
 from service.store import TransitionRecord, utc_now
+from service.windows import INERTIAL_ALIGN_S
 
 STREAMING = "STREAMING"
 FLAGS_LAST_S = 0.5
+SWAY_OFFER = 'the launcher moves: a new run with "alignment": "inertial" settles and aligns while it sways'
 GUARD_S = 1.0
 """A step ends this much after its window, so that motion at the window's end is still seen before it is used."""
 
@@ -128,9 +130,10 @@ class LineView:
 
 @dataclass
 class RunContext:
-    """What the run in hand has gathered so far."""
+    """What the run in hand has gathered so far; ``swaying``: it settles and aligns although the launcher moves."""
 
     run_id: str
+    swaying: bool = False
     windows: dict[Name, WindowRecord] = field(default_factory=dict)
     terms: dict[str, StageTerms] = field(default_factory=dict)
     turns: list[MeasuredTurn] = field(default_factory=list)
@@ -254,12 +257,12 @@ class Sequencer:
         if not self._machine.may(command, self._held):
             raise NotAllowed(command, self.state, self._reason, self.allowed())
 
-    def start(self, run_id: str, now_s: float) -> None:
-        """Begin a run."""
+    def start(self, run_id: str, now_s: float, *, swaying: bool = False) -> None:
+        """Begin a run; ``swaying``: with an alignment that takes motion for what it is."""
         self.check("start")
         self._now_s = now_s
         self._leave()
-        self._run = RunContext(run_id)
+        self._run = RunContext(run_id, swaying)
         self._send("start", "start", "")
         self._held = None
         self._power_up()
@@ -382,8 +385,11 @@ class Sequencer:
         elif state in WINDOWS or state is Name.READY:
             if np.any(samples["status"] & OVERRANGE):
                 self._hold("overrange", "the block reports overload or out of range")
-            elif not still:
+            elif not still and not (state is Name.ALIGNING and self._may_sway()):
                 self._hold("motion", "the block moved")
+
+    def _may_sway(self) -> bool:
+        return self._run is not None and self._run.swaying
 
     def _give_up(self, reason: str, detail: str) -> None:
         """FAULT while a run is under way; READY is withdrawn instead, because its run is complete."""
@@ -458,7 +464,7 @@ class Sequencer:
     # SETTLING
 
     def _settle(self, samples: SampleArray) -> None:
-        if not self._still:
+        if not self._still and not self._may_sway():
             self._settling.reset()
             return
         self._settled = self._settling.feed(samples)
@@ -471,7 +477,7 @@ class Sequencer:
 
     def _window_length_s(self, step: Name) -> float:
         if step is Name.ALIGNING:
-            return self._settings.align_s
+            return max(self._settings.align_s, INERTIAL_ALIGN_S) if self._may_sway() else self._settings.align_s
         return self._settings.verify_s if step is Name.VERIFYING else self._settings.stage_s
 
     def _fill_windows(self) -> None:
@@ -612,9 +618,11 @@ class Sequencer:
     def _maybe_resume(self) -> None:
         """Begin the held step again once the block has been still, and the line whole, for long enough."""
         held, wait_s = self._held, self._settings.still_again_s
-        if held is None or held is Name.READY or math.isnan(self._still_since_s) or not self._streaming():
+        sways = self._may_sway() and held in (Name.SETTLING, Name.ALIGNING)
+        good_since_s = self._held_from_s if sways else self._still_since_s
+        if held is None or held is Name.READY or math.isnan(good_since_s) or not self._streaming():
             return
-        if self._last_s - self._still_since_s < wait_s:
+        if self._last_s - good_since_s < wait_s:
             return
         recent = self.buffer.span(self._last_s - wait_s)
         if frames_lost(recent) > self._settings.lost_fraction * len(recent):
@@ -717,10 +725,17 @@ class Sequencer:
             return 0.99, None
         return (1.0, 0.0) if state is Name.READY else (None, None)
 
+    def _wants_stillness(self) -> bool:
+        """Whether only the launcher's motion keeps the run from settling or aligning by averages."""
+        step = self._held if self.state is Name.HOLD else self.state
+        waiting = self._reason == "motion" if self.state is Name.HOLD else not self._still
+        return step in (Name.SETTLING, Name.ALIGNING) and waiting and not self._may_sway()
+
     def _reasons(self) -> list[str]:
         """Why the data are not fit, or what a fit result adds, in words."""
         if self.state is not Name.READY:
-            return [f"{self.state}: {self._reason}" + (f" ({self._detail})" if self._detail else "")]
+            why = f"{self.state}: {self._reason}" + (f" ({self._detail})" if self._detail else "")
+            return [why, SWAY_OFFER] if self._wants_stillness() else [why]
         if not self._streaming():
             return [f"the line is {self._line.state}"]
         return list(self._run.result.reasons) if self._run is not None and self._run.result is not None else []

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from drivers.samples import SampleArray, Status
-from inertial.compensation import ChainResult
 from inertial.increments import Increments
 from inertial.verification import Verification
+from service.methods import Findings
 
 Verdict = Literal["shift compensated", "no significant shift", "not fit"]
 
@@ -54,7 +54,7 @@ class Judgement:
         return self.verdict != "not fit"
 
 
-def judge(windows: Mapping[str, Window], chain: ChainResult, verification: Verification) -> Judgement:
+def judge(windows: Mapping[str, Window], found: Findings, verification: Verification) -> Judgement:
     """Check windows, terms and verification."""
     against = [reason for kind, window in windows.items() for reason in _against(kind, window)]
     if not verification.passed:
@@ -64,7 +64,7 @@ def judge(windows: Mapping[str, Window], chain: ChainResult, verification: Verif
         )
     if against:
         return Judgement("not fit", against)
-    ratios = term_ratios(chain)
+    ratios = term_ratios(found)
     proof = (
         f"verified: navigation at rest on fresh data is off by χ² = {verification.statistic:.1f}, "
         f"of {verification.limit:.1f} allowed"
@@ -78,13 +78,13 @@ def judge(windows: Mapping[str, Window], chain: ChainResult, verification: Verif
     return Judgement("shift compensated", [f"shift: beyond {SIGNIFICANT_SIGMA:g} σ lie {words}", proof])
 
 
-def term_ratios(chain: ChainResult) -> dict[str, float | None]:
+def term_ratios(found: Findings) -> dict[str, float | None]:
     """Return |term|/σ by sensor; None where nothing bounds the term."""
-    terms = np.concatenate([chain.terms.f_mps2, chain.terms.g_radps])
+    terms = np.concatenate([found.terms.f_mps2, found.terms.g_radps])
     names = [f"{kind} {axis}" for kind in ("accelerometer", "gyro") for axis in "xyz"]
     return {
         name: None if sigma is None else abs(float(term)) / sigma
-        for name, term, sigma in zip(names, terms, chain.sigma, strict=True)
+        for name, term, sigma in zip(names, terms, found.sigma, strict=True)
     }
 
 

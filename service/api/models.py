@@ -17,10 +17,13 @@ class Body(BaseModel):
 
 
 class RunRequest(Body):
-    """Start a run. ``azimuth_deg``: the launcher's azimuth now, instead of the configured one."""
+    """Start a run. ``azimuth_deg``: the launcher's azimuth now, instead of the configured one. ``alignment``: how the
+    attitude that is not given is found, instead of the configured way; "inertial" while the launcher sways.
+    """
 
-    method: Literal["paper"] = "paper"
+    method: Literal["optimal", "paper"] = "optimal"
     azimuth_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+    alignment: Literal["rest", "inertial"] | None = None
     operator: Text | None = None
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.commands.options import (
+    AlignmentOption,
     EndOption,
     JsonOption,
     RecordingArgument,
@@ -22,7 +23,10 @@ from service.commands.options import (
 
 def compensate(
     recording: RecordingArgument,
-    method: Annotated[str, typer.Option("--method", metavar="M", help="paper")] = "paper",
+    method: Annotated[
+        str, typer.Option("--method", metavar="M", help="optimal: all pooled; paper: three chained stages.")
+    ] = "optimal",
+    alignment: AlignmentOption = None,
     start: StartOption = None,
     end: EndOption = None,
     model: Annotated[
@@ -45,7 +49,12 @@ def compensate(
     from service.tables import show_result
 
     result = run(
-        read_recording(recording), method=method, start_s=start, end_s=end, model=read_document(BlockModel, model)
+        read_recording(recording),
+        method=method,
+        alignment=None if alignment is None else alignment.value,
+        start_s=start,
+        end_s=end,
+        model=read_document(BlockModel, model),
     )
     if out is not None:
         write_text(out, result.canonical_json())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +30,19 @@ EpochOption = Annotated[
     typer.Option(
         "--epoch", metavar="S", help="Clock value (CLOCK_MONOTONIC) at simulated time 0, shared by processes."
     ),
+]
+
+
+class AlignmentKind(StrEnum):
+    """How the attitude that nobody gives is found."""
+
+    REST = "rest"
+    INERTIAL = "inertial"
+
+
+AlignmentOption = Annotated[
+    AlignmentKind | None,
+    typer.Option("--alignment", help="rest: by averages; inertial: while the launcher sways. Else as recorded."),
 ]
 ProtocolOption = Annotated[str, typer.Option("--protocol", metavar="P", help="Frame layout, by name.")]
 

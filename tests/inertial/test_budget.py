@@ -10,9 +10,9 @@ from scipy.stats import binom, chi
 
 from inertial.attitude import rotation_matrix
 from inertial.budget import Errors, Profile, predict, radial_probability, radial_quantile
-from inertial.documents import ChannelNoise, Noise
+from inertial.documents import ChannelNoise, Noise, Uncertainty
 from inertial.earth import Site
-from inertial.error_model import Coefficients
+from inertial.error_model import Coefficients, Terms
 from inertial.increment_covariance import integral_covariance
 from inertial.optimal import (
     LauncherReference,
@@ -24,6 +24,7 @@ from inertial.optimal import (
     node_weights,
     nodes_of,
 )
+from inertial.rest_response import AtRest
 from inertial.strapdown import navigate
 
 DEG = math.pi / 180.0
@@ -156,7 +157,8 @@ def test_a_believed_bias_shows_after_a_turn_at_its_size() -> None:
     """1 mg ≡ 1 mrad of tilt, turned by 180°: the two add up to 2·γ·tilt."""
     noise = block_noise(ChannelNoise(white=1e-7), ChannelNoise(white=1e-10))
     tilt = 1e-3
-    chain = Errors.of_chain(np.zeros((6, 6)), np.eye(3), SITE, AZIMUTH, tilt, 0.0)
+    found = AtRest(Terms.zero(), np.eye(3), AZIMUTH, np.zeros((6, 1, 6)), np.array([[-1.0, 0.0]]), np.zeros((6, 6)))
+    chain = Errors.of_chain(found, SITE, tilt, 0.0)
     rest = predict(chain, Profile.rest(np.eye(3), 160.0, SITE), SITE, AZIMUTH, noise, 160.0)
     assert rest.radial_m(0.95)[0] < 1e-3
     flipped = Profile.on_the_spot([0.0, 0.001, 100.0], np.array([np.eye(3)] + [np.diag([-1.0, -1.0, 1.0])] * 2), SITE)
@@ -164,6 +166,24 @@ def test_a_believed_bias_shows_after_a_turn_at_its_size() -> None:
     expected = 2.0 * SITE.gravity_mps2 * tilt * 100.0**2 / 2.0
     assert turned.sigma[0, 0] == pytest.approx(expected, rel=0.02)
     assert dict(turned.contributors()[0])["level reference"] > 0.99
+
+
+def test_a_document_keeps_the_budget_to_two_per_cent() -> None:
+    """Past noise in spans of 5 s instead of the nodes' 1 s, flicker, walk and quantisation in it."""
+    noise = block_noise(
+        ChannelNoise(white=VRW, flicker=FLICKER), ChannelNoise(white=ARW, flicker=FLICKER * 1e-3, random_walk=1e-8)
+    )
+    reference = LauncherReference(np.eye(3), AZIMUTH, 1e-4, 1e-3)
+    found = estimate([still(np.eye(3))], SITE, reference, noise, Coefficients.ideal())
+    errors = Errors.of_estimate(found)
+    document = errors.to_document(found.C_tb[-1], found.azimuth_rad)
+    assert Uncertainty.model_validate_json(document.canonical_json()) == document
+    profile = Profile.rest(np.eye(3), 300.0, SITE)
+    exact, kept = (
+        predict(one, profile, SITE, AZIMUTH, noise, [60.0, 300.0], after_s=60.0)
+        for one in (errors, Errors.of_document(document))
+    )
+    np.testing.assert_allclose(kept.sigma, exact.sigma, rtol=0.02)
 
 
 def test_slow_flicker_in_the_term_helps_the_flight_that_follows_at_once() -> None:

@@ -55,7 +55,7 @@ def verified(seed: int, later: Array | None = None) -> Verification:
     # The reference is wrong as well: that is inside the terms and must not show.
     wrong = rotation_matrix(rng.normal(size=3) * [1e-4, 1e-4, 2e-3]) @ C_TB
     result = chain(rng, shift, wrong)
-    return verify(rest(200.0, rng, shift + (0 if later is None else later)), result, SITE, IDEAL, NOISE)
+    return verify(rest(200.0, rng, shift + (0 if later is None else later)), result.at_rest, SITE, IDEAL, NOISE)
 
 
 def test_statistic_is_chi_square_with_six_degrees_of_freedom() -> None:
@@ -89,7 +89,7 @@ def test_slow_noise_that_terms_and_window_share_is_not_counted_twice() -> None:
     alignment = Alignment(C_TB, AZIMUTH, 0.0, 0.0, "given", "given")
     windows = [rest(60.0 * k, rng, np.zeros(6)) for k in range(3)]
     result = paper_chain(windows, alignment, SITE, IDEAL, wandering)
-    proof = verify(rest(180.0, rng, np.zeros(6)), result, SITE, IDEAL, wandering)
+    proof = verify(rest(180.0, rng, np.zeros(6)), result.at_rest, SITE, IDEAL, wandering)
     if_independent = math.sqrt(result.noise_covariance[5, 5]) * 60.0
     assert proof.sigma[5] < 0.8 * if_independent
 

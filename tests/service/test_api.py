@@ -163,7 +163,7 @@ def test_a_run_is_accepted_with_its_address_and_followed_there(
 ) -> None:
     _, client = waiting
     detail = client.get(f"/api/v1/runs/{run}").json()
-    assert (detail["state"], detail["operator"], detail["method"]) == ("POWER_UP", "Ada", "paper")
+    assert (detail["state"], detail["operator"], detail["method"]) == ("POWER_UP", "Ada", "optimal")
     assert client.get("/api/v1/status").json()["run_id"] == run
     assert client.get("/api/v1/runs").json()["runs"][0]["run_id"] == run
 

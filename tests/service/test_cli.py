@@ -254,7 +254,7 @@ def test_file_that_could_not_be_written_is_refused_before_the_work(run: Run, mad
 
 
 def test_unknown_method_protocol_and_line_are_refused(run: Run, made: Path, tmp_path: Path) -> None:
-    refused(run("compensate", made / "run", "--method", "magic"), "magic", "Known: paper")
+    refused(run("compensate", made / "run", "--method", "magic"), "magic", "Known: optimal, paper")
     refused(run("simulate", "--pty", tmp_path / "p", "--protocol", "nope"), "nope", "native")
     refused(run("replay", made / "run.parquet"), "run.parquet", "no whole record of a capture")
     refused(run("capture", tmp_path / "c", "--link", "nosuch://x"), "nosuch://x", "socket://host:port")
