@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.counters import Counters
-from drivers.protocols.base import NEED_MORE, NOT_A_FRAME, Frame, Protocol
+from drivers.protocols.base import NEED_MORE, NOT_A_FRAME, Frame, FrameRun, Protocol
+
+if TYPE_CHECKING:
+    from drivers.scan import Chunks, Scanner, ScanState
 
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
@@ -60,6 +66,7 @@ class Splitter:
         self._limit_s = 0.0
         self._deadline_s = float("inf")
         self._in_step = True  # no byte discarded since the last frame
+        self._scanner: Scanner | None = None
 
     @property
     def pending(self) -> int:
@@ -75,6 +82,77 @@ class Splitter:
             self._read_s = host_time_s
         frames = self._scan()
         return frames + self.expire(host_time_s)
+
+    def feed_stretch(
+        self, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]
+    ) -> FrameRun | list[Frame]:
+        """Take many chunks at once; the same as :meth:`feed` with each, in compiled code where the protocol allows.
+
+        Parameters
+        ----------
+        data : the bytes of all chunks.
+        ends : (n,) where each chunk ends in ``data``.
+        times_s : (n,) when the last byte of each came [simulated s].
+        """
+        layout = self._protocol.layout()
+        if layout is None or not len(ends):
+            starts = [0, *ends.tolist()]
+            pieces = zip(starts, ends.tolist(), times_s.tolist(), strict=False)
+            return [frame for start, end, time_s in pieces for frame in self.feed(data[start:end].tobytes(), time_s)]
+        if self._scanner is None:
+            from drivers.scan import Scanner  # a live line needs no compiled code, nor waits for it
+
+            self._scanner = Scanner(layout)
+        return self._scan_stretch(self._scanner, data, ends, times_s)
+
+    def _scan_stretch(
+        self, scanner: Scanner, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]
+    ) -> FrameRun:
+        """Set the compiled splitter on what waits and what is new, and go on from where it ends."""
+        from drivers.scan import Chunks, Line, ScanState
+
+        waiting = len(self._buffer)
+        whole = np.concatenate([np.frombuffer(self._buffer, np.uint8), data]) if waiting else data
+        filled = np.flatnonzero(np.diff(ends, prepend=0) > 0)  # an empty chunk tells the time and dates no byte
+        before = np.concatenate([[self._read_s], times_s[filled]])[np.cumsum(np.isin(np.arange(len(ends)), filled)) - 1]
+        old = list(self._chunks)
+        chunks = Chunks(
+            np.concatenate([[chunk.end - self._base for chunk in old], ends + waiting]).astype(np.int64),
+            np.concatenate([[chunk.host_time_s for chunk in old], times_s]),
+            np.concatenate([[chunk.earlier_s for chunk in old], before]),
+            len(old),
+        )
+        state = ScanState(
+            self._in_step,
+            self._waiting - self._base if self._waiting >= 0 else -1,
+            self._limit_s,
+            self._deadline_s,
+        )
+        line = Line(self._byte_s, self._latency_s, self._protocol.longest)
+        starts, stops, arrivals = scanner.scan(whole, chunks, line, state)
+        self._resume(whole, chunks, state)
+        self.counters.bytes_in += len(data)
+        if len(filled):
+            self._read_s = float(times_s[filled[-1]])
+        return FrameRun(whole, starts, stops, arrivals)
+
+    def _resume(self, whole: NDArray[np.uint8], chunks: Chunks, state: ScanState) -> None:
+        """Take over what the compiled splitter left and counted."""
+        self.counters.bytes_discarded += state.discarded
+        self.counters.frames += state.frames
+        self.counters.crc_failures += state.crc_failures
+        self.counters.resyncs += state.resyncs
+        self.counters.timeouts += state.timeouts
+        self._in_step = state.in_step
+        self._waiting = self._base + state.waiting if state.waiting >= 0 else -1
+        self._limit_s, self._deadline_s = state.limit_s, state.deadline_s
+        self._buffer = bytearray(whole[state.head :].tobytes())
+        lengths = np.diff(chunks.ends, prepend=0)
+        alive = np.flatnonzero((chunks.ends > state.head) & (lengths > 0))
+        columns = (chunks.ends[alive] + self._base, chunks.times_s[alive], chunks.earlier_s[alive])
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        self._chunks = deque(_Chunk(*row) for row in rows)
+        self._base += state.head
 
     def expire(self, now_s: float) -> list[Frame]:
         """Return frames that stand behind a header whose time is up; call it when nothing comes."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.layout import FrameLayout
 from drivers.messages import Message, Received
 from drivers.samples import SampleArray, empty_samples
 
@@ -32,6 +33,34 @@ class Frame(NamedTuple):
     host_time_s: float
 
 
+class FrameRun(Sequence[Frame]):
+    """Frames that stand in one array of bytes: ``data[starts[i]:stops[i]]`` came at ``host_time_s[i]``.
+
+    What a replay gives a decoder. It reads as any sequence of frames; a decoder that wants speed takes the arrays.
+    """
+
+    def __init__(
+        self,
+        data: NDArray[np.uint8],
+        starts: NDArray[np.int64],
+        stops: NDArray[np.int64],
+        host_time_s: NDArray[np.float64],
+    ) -> None:
+        self.data, self.starts, self.stops, self.host_time_s = data, starts, stops, host_time_s
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> FrameRun: ...
+    def __getitem__(self, index: int | slice) -> Frame | FrameRun:
+        if isinstance(index, slice):
+            return FrameRun(self.data, self.starts[index], self.stops[index], self.host_time_s[index])
+        return Frame(self.data[self.starts[index] : self.stops[index]].tobytes(), float(self.host_time_s[index]))
+
+
 def no_indices() -> NDArray[np.intp]:
     """Return an empty index array."""
     return np.zeros(0, np.intp)
@@ -52,7 +81,14 @@ class Decoded:
 
 
 class Decoder(ABC):
-    """Frames of one stream to samples and messages; keeps what the stream has said so far (settings, counters)."""
+    """Frames of one stream to samples and messages; keeps what the stream has said so far (settings, counters).
+
+    ``host_latency_s`` is set by whoever feeds it: how late host times may be. ``stated_rate_hz`` is the rate that
+    device or user states where the device sends no time of its own, to be checked against the host's clock.
+    """
+
+    host_latency_s: float = 0.1
+    stated_rate_hz: float | None = None
 
     @abstractmethod
     def decode(self, frames: Sequence[Frame]) -> Decoded:
@@ -63,10 +99,13 @@ class Protocol(ABC):
     """Layout of one maker's frames. Immutable: what a stream says about itself is kept by its :class:`Decoder`.
 
     ``sync`` lists every byte pattern that a frame may begin with, ``longest`` is the greatest legal frame length
-    [bytes], ``temperatures`` the number of temperature sensors in its samples.
+    [bytes], ``temperatures`` the number of temperature sensors in its samples, ``bit_rates`` what its devices are set
+    to, the usual one first, and ``checksum_bits`` how many bits prove a frame.
     """
 
     name: ClassVar[str]
+    bit_rates: ClassVar[tuple[int, ...]] = (921600,)
+    checksum_bits: ClassVar[int] = 32
     sync: tuple[bytes, ...]
     longest: int
     temperatures: int = 1
@@ -91,6 +130,10 @@ class Protocol(ABC):
     @abstractmethod
     def encode_samples(self, samples: SampleArray) -> bytes:
         """Return the frames of ``samples`` one after another, as the device would send them."""
+
+    def layout(self) -> FrameLayout | None:
+        """Return all frames as a table when one can say the same as ``measure`` and ``check``: replays are faster."""
+        return None
 
     def encode_message(self, message: Message, sequence: int = 0, time_s: float = 0.0) -> bytes:
         """Return the frame of a message or command.

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.layout import Checksum, FrameLayout, Head
 from drivers.messages import (
     GYRO_KINDS,
     Acknowledgement,
@@ -32,7 +33,17 @@ from drivers.messages import (
     pack_terms,
     terms_crc,
 )
-from drivers.protocols.base import NEED_MORE, NOT_A_FRAME, Buffer, Decoded, Decoder, Frame, Protocol, ProtocolError
+from drivers.protocols.base import (
+    NEED_MORE,
+    NOT_A_FRAME,
+    Buffer,
+    Decoded,
+    Decoder,
+    Frame,
+    FrameRun,
+    Protocol,
+    ProtocolError,
+)
 from drivers.samples import SampleArray, Status, empty_samples
 
 SYNC = bytes.fromhex("c749549e")
@@ -149,6 +160,11 @@ class Native(Protocol):
         body = stop - CRC.size
         return zlib.crc32(data[start:body]) == int.from_bytes(data[body:stop], "little")
 
+    def layout(self) -> FrameLayout:
+        """Return the frames' sync, version, type and length fields as a table."""
+        heads = tuple(Head(SYNC + head, length) for head, length in _HEADS.items())
+        return FrameLayout(heads, Checksum.CRC32_LITTLE, len(SYNC))
+
     def decoder(self) -> Decoder:
         """Return a decoder; native frames say all about themselves, so it remembers nothing."""
         return NativeDecoder()
@@ -167,6 +183,8 @@ class NativeDecoder(Decoder):
 
     def decode(self, frames: Sequence[Frame]) -> Decoded:
         """Decode data frames together and the few others one by one."""
+        if isinstance(frames, FrameRun):
+            return self._decode_run(frames)
         data = [index for index, frame in enumerate(frames) if frame.data[5] == Kind.DATA]
         decoded = Decoded(
             samples=decode_samples(b"".join([frames[index].data for index in data])),
@@ -181,6 +199,17 @@ class NativeDecoder(Decoder):
                     decoded.rejects += 1
                 else:
                     decoded.messages.append(received)
+        return decoded
+
+    def _decode_run(self, frames: FrameRun) -> Decoded:
+        """Decode data frames where they stand."""
+        from drivers.protocols.native_unpack import unpack  # a live line needs no compiled code, nor waits for it
+
+        is_data = frames.data[frames.starts + 5] == Kind.DATA
+        data = np.flatnonzero(is_data)
+        decoded = Decoded(unpack(frames.data, frames.starts[data]), data)
+        others = self.decode([frames[index] for index in np.flatnonzero(~is_data).tolist()])
+        decoded.messages, decoded.rejects = others.messages, others.rejects
         return decoded
 
 
