@@ -19,6 +19,8 @@ class Status(IntFlag):
     OUT_OF_RANGE = 1 << 2
     SELF_TEST_FAILED = 1 << 3
     INTEGRITY = 1 << 4
+    WRONG_RATE = 1 << 5
+    """The host's clock contradicts the rate that the block or its user states by more than 0.1 %."""
     INVALID_ACCEL_X = 1 << 8
     INVALID_ACCEL_Y = 1 << 9
     INVALID_ACCEL_Z = 1 << 10

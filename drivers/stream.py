@@ -12,7 +12,10 @@ from drivers.counters import Counters
 from drivers.framing import Splitter
 from drivers.messages import Received
 from drivers.protocols.base import Frame, Protocol
-from drivers.samples import SampleArray
+from drivers.rate_check import RateCheck
+from drivers.samples import SampleArray, Status
+
+NO_CONDITION = Status(0)
 
 
 @dataclass(slots=True)
@@ -21,7 +24,8 @@ class Batch:
 
     ``host_time_s[i]`` [simulated s] is when the last byte of ``samples[i]`` came. ``gaps`` name the rows before which
     frames are missing, ``restarts`` the rows at which the block began to count anew (its device time too), ``reopened``
-    the rows that came first after the line was opened again.
+    the rows that came first after the line was opened again. ``conditions`` are those that the host finds rather than
+    the block: a wrong rate.
     """
 
     samples: SampleArray
@@ -31,6 +35,7 @@ class Batch:
     restarts: list[int] = field(default_factory=list)
     reopened: list[int] = field(default_factory=list)
     duplicates: int = 0
+    conditions: Status = NO_CONDITION
 
     def __bool__(self) -> bool:
         """Whether it says anything."""
@@ -46,6 +51,8 @@ class StreamDecoder:
         self.counters = counters if counters is not None else Counters()
         self._splitter = Splitter(protocol, bit_rate, latency_s, self.counters)
         self._decoder = protocol.decoder()
+        self._decoder.host_latency_s = latency_s
+        self._rate_check = RateCheck(latency_s, self._decoder.stated_rate_hz)
         self._continuity = Continuity(delay_tolerance_s=latency_s + 0.5)
         self._begun = False
         self._frames: list[Frame] = []
@@ -75,6 +82,7 @@ class StreamDecoder:
         decoded = self._decoder.decode(frames)
         arrivals = np.array([frame.host_time_s for frame in frames], np.float64)
         host_time_s = arrivals[decoded.frame_of_sample]
+        self._rate_check.follow(decoded.samples, host_time_s)
         reopened = self._rows_after_reopening(decoded.frame_of_sample)
         marks = self._continuity.follow(decoded.samples, host_time_s, reopened)
         self._count(len(marks.keep), decoded.rejects, marks.duplicates, marks.gaps, marks.restarts)
@@ -86,6 +94,7 @@ class StreamDecoder:
             marks.restarts,
             [int(np.searchsorted(marks.keep, row)) for row in reopened],
             marks.duplicates,
+            self._rate_check.condition,
         )
 
     def _rows_after_reopening(self, frame_of_sample: NDArray[np.intp]) -> list[int]:

@@ -8,12 +8,22 @@ from __future__ import annotations
 
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import Parameter, signature
 from typing import cast
 
 from drivers.protocols.base import Protocol, ProtocolError
 
 ENTRY_POINT_GROUP = "inertrim.protocols"
-_BUILT_IN = {"native": "drivers.protocols.native:Native"}
+_BUILT_IN = {
+    "hg4930": "drivers.protocols.hg4930:Hg4930",
+    "kvh1750": "drivers.protocols.kvh1750:Kvh1750",
+    "mip": "drivers.protocols.mip:Mip",
+    "native": "drivers.protocols.native:Native",
+    "novatel": "drivers.protocols.novatel:NovAtel",
+    "stim300": "drivers.protocols.stim300:Stim300",
+    "vectornav": "drivers.protocols.vectornav:VectorNav",
+    "xsens": "drivers.protocols.xsens:Xsens",
+}
 
 
 def protocol_names() -> list[str]:
@@ -30,10 +40,23 @@ def get_protocol(name: str, **options: object) -> Protocol:
         No such protocol, or it has no such option, or the option's value is not legal.
     """
     kind = _find(name)
-    try:
-        return kind(**options)
-    except TypeError:
-        raise ProtocolError(f"protocol {name} does not take these options: {', '.join(sorted(options))}") from None
+    known = option_names(name)
+    if unknown := sorted(set(options) - set(known)):
+        takes = f"it knows {', '.join(known)}" if known else "it has none"
+        raise ProtocolError(f"protocol {name} has no option {', '.join(unknown)}; {takes}")
+    return kind(**options)
+
+
+def option_names(name: str) -> list[str]:
+    """Return the names of a protocol's options, in its own order.
+
+    Raises
+    ------
+    ProtocolError
+        No such protocol.
+    """
+    parameters = signature(_find(name)).parameters.values()
+    return [one.name for one in parameters if one.kind in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD)]
 
 
 def _find(name: str) -> type[Protocol]:
