@@ -8,7 +8,7 @@ arm), which explain without naming the block, and a generic basis that names not
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -88,8 +88,10 @@ def to_cosine(values: Array) -> Array:
 class Library:
     """All columns and hypotheses for some scenes."""
 
-    def __init__(self, scenes: Sequence[Scene]) -> None:
+    def __init__(self, scenes: Sequence[Scene], only: Collection[tuple[str, str]] | None = None) -> None:
+        """Gather everything, or ``only`` some effects on some channels, and then no reference and no curves."""
         self.scenes = scenes
+        self._only = only
         self.residual: dict[Slot, Array] = {}
         self.spread: dict[Slot, Array] = {}
         """How much noisier each analysed sample is than those at rest."""
@@ -107,10 +109,12 @@ class Library:
         for effect in effects().values():
             self._add_effect(effect)
         for index in range(len(scenes)):
-            self._add_reference(index)
             self._add_nuisance(index)
-        for channel in range(len(CHANNELS)):
-            self._add_generic(channel)
+            if only is None:
+                self._add_reference(index)
+        if only is None:
+            for channel in range(len(CHANNELS)):
+                self._add_generic(channel)
 
     def add_column(self, raw: Iterable[tuple[Slot, Array]]) -> int | None:
         """Keep a column given as rates (n,) by slot; none where it has nothing in it."""
@@ -168,18 +172,24 @@ class Library:
         places = float(len(DELAY_SAMPLES)) if effect == "latency" else 1.0
         return self.add(Kind.NAMED, effect, channel, [raw], {}, places, chord=size)
 
+    def _wanted(self, effect: Effect) -> list[str]:
+        names = effect.channel_names()
+        return [name for name in names if self._only is None or (effect.name, name) in self._only]
+
     def _add_effect(self, effect: Effect) -> None:
         if isinstance(effect, (LinearEffect, SizeEffect, ThermalLag, SampleEffect)):
-            for channel in effect.channel_names():
+            for channel in self._wanted(effect):
                 shapes = self.shapes(effect, channel)
                 for shape in shapes:
                     places = max(float(len(shapes)), _PLACES.get(effect.name, 1.0))
                     self.trial(effect.name, channel, shape, places)
+        elif not self._wanted(effect):
+            return
         elif effect.name in SMALL:
             self.setup_trial(effect.name, "all", SMALL[effect.name])
         elif effect.name == "latency":
             step = self.scenes[0].seen.interval_s
-            for channel in effect.channel_names():
+            for channel in self._wanted(effect):
                 for factor in DELAY_SAMPLES:
                     self.setup_trial("latency", channel, factor * step)
         elif effect.name == "level_error":

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
-_MEAN = 0.55  # the frequency, in coefficients, at which the mean's variance equals that of a random walk's
+_MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
 STATED, WHITE, WIDE = range(3)
 """Levels of the noise family: as the model states; white and quantisation free; all free."""
 
@@ -109,6 +109,9 @@ def fit_noise(
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
     Without ``slow``, nothing but white noise and quantisation is tried.
     """
+    # A constant is never noise: the mean's own power has no say in the noise that it is judged by.
+    rss, freedom = rss.copy(), freedom.copy()
+    rss[0] = freedom[0] = 0.0
     penalty = PENALTY_FREE if stated is None else PENALTY
     best: NoiseFit | None = None
     if stated is not None:

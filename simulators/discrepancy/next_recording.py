@@ -1,0 +1,169 @@
+"""Which recording to make next: of those a launcher or a table could make, the one that splits names best.
+
+For each, the model predicts what the leading name would add and how well its rival could imitate that; half the squared
+whitened distance left is the evidence [nats] to be expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.recording import Recording
+from drivers.recording_meta import MotionMeta, TurnMeta, VibrationMeta
+from drivers.samples import empty_samples
+from inertial.documents import CHANNELS, BlockModel, ChannelNoise, Noise
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library
+from simulators.discrepancy.compare import Scene, compare
+from simulators.discrepancy.evidence import Evidence, Fit
+
+Array = NDArray[np.float64]
+
+RATE_HZ = 5.0
+REST_S = 1200.0
+MOVED_S = 300.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A recording and the evidence [nats] to be expected from it between two names."""
+
+    name: str
+    text: str
+    expected_nats: float
+
+
+@dataclass(frozen=True)
+class _Plan:
+    name: str
+    text: str
+    duration_s: float
+    motion: tuple[MotionMeta, ...] = ()
+    rise_c: float = 0.0
+
+
+def _turn(start_s: float, end_s: float, rate_dps: float, axis: list[float]) -> TurnMeta:
+    return TurnMeta(kind="turn", start_s=start_s, end_s=end_s, rate_dps=rate_dps, axis=axis, frame="body")
+
+
+_X, _Y, _Z = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
+PLANS = (
+    _Plan("rest_longer", "twenty minutes at rest", REST_S),
+    _Plan(
+        "second_attitude",
+        "five minutes in six attitudes: a quarter turn about x, then y, then z, and again",
+        MOVED_S,
+        tuple(_turn(40.0 * k + 20.0, 40.0 * k + 29.0, 10.0, (_X, _Y, _Z)[k % 3]) for k in range(6)),
+    ),
+    _Plan(
+        "slow_turn",
+        "turns of 2 deg/s about each axis, both ways",
+        MOVED_S,
+        tuple(
+            _turn(45.0 * k + 5.0, 45.0 * k + 45.0, (2.0, -2.0)[k % 2], (_X, _X, _Y, _Y, _Z, _Z)[k]) for k in range(6)
+        ),
+    ),
+    _Plan(
+        "fast_turn",
+        "turns of 60 deg/s and 20 deg/s about each axis, both ways",
+        MOVED_S,
+        tuple(
+            _turn(24.0 * k + 6.0, 24.0 * k + 18.0, (60.0, -60.0, 20.0, -20.0)[k % 4], (_X, _Y, _Z)[k // 4])
+            for k in range(12)
+        ),
+    ),
+    _Plan(
+        "vibration",
+        "rest, a minute and a half of 1 g rms vibration from 10 to 40 Hz, rest",
+        MOVED_S,
+        (
+            VibrationMeta(
+                kind="vibration", start_s=100.0, end_s=190.0, axis=[1.0, 1.0, 1.0], grms=1.0, band_hz=[10.0, 40.0]
+            ),
+        ),
+    ),
+    _Plan("heat", "twenty minutes at rest while the block warms by 20 K and cools again", REST_S, rise_c=20.0),
+)
+
+
+def propose(evidence: Evidence, fit: Fit, leader: Hypothesis, rivals: Sequence[Hypothesis]) -> list[Proposal]:
+    """Return the recordings, the most telling between a leader and its nearest rivals first."""
+    scene = evidence.library.scenes[0]
+    model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
+    amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
+    proposals = []
+    for plan in PLANS:
+        nats = _expected(_imagined(scene, model, plan), leader, amplitude, rivals)
+        proposals.append(Proposal(plan.name, plan.text, nats))
+    return sorted(proposals, key=lambda p: -p.expected_nats)
+
+
+def _noise(evidence: Evidence, fit: Fit) -> Noise:
+    """Return white noise of the density found in the middle of each channel's band."""
+    found = {}
+    for c, name in enumerate(CHANNELS):
+        power = fit.noise[0, c].power
+        density = float(np.exp(np.mean(np.log(power[len(power) // 4 : len(power) // 2]))))
+        found[name] = ChannelNoise(white=float(np.sqrt(density * evidence.basis[0, c].interval_s)))
+    return Noise(**found)
+
+
+def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
+    count = round(plan.duration_s * RATE_HZ)
+    samples = empty_samples(count)
+    samples["sequence"] = np.arange(count)
+    samples["time"] = np.arange(1, count + 1) / RATE_HZ
+    phase = np.clip(samples["time"] / plan.duration_s, 0.0, 1.0)
+    samples["temperature"][:, 0] = 20.0 + plan.rise_c * np.sin(np.pi * phase) ** 2
+    samples["supply"] = 28.0
+    meta = scene.recording.meta
+    block = meta.block.model_copy(update={"sample_rate_hz": RATE_HZ, "model": None, "calibration": None})
+    meta = meta.model_copy(update={"motion": list(plan.motion), "window": [], "block": block, "columns": {}})
+    imagined = compare(Recording(samples, meta, Path(plan.name), Path(plan.name)), model)
+    # Nothing was measured: what the comparison took for the vibration's course is set to nothing.
+    return replace(imagined, measured=imagined.predicted.copy())
+
+
+def _expected(scene: Scene, leader: Hypothesis, amplitude: Array, rivals: Sequence[Hypothesis]) -> float:
+    names = {leader.name, *(r.name for r in rivals)}
+    library = Library([scene], only=names)
+    evidence = Evidence(library)
+    own = [h for h in library.hypotheses if h.kind is Kind.NAMED and h.name == leader.name]
+    if not own:
+        return 0.0
+    wanted = min(own, key=lambda h: _shape_distance(h, leader))
+    least = np.inf
+    others = [h for h in library.hypotheses if h.name in {r.name for r in rivals} and h.name != leader.name]
+    for other in [None, *others]:
+        least = min(least, _distance(evidence, wanted, amplitude[: len(wanted.columns)], other))
+    return float(least)
+
+
+def _shape_distance(one: Hypothesis, two: Hypothesis) -> float:
+    near = 0.0
+    for name, value in one.shape.items():
+        near += abs(float(np.log((abs(value) + 1e-9) / (abs(two.shape.get(name, value)) + 1e-9))))
+    return near
+
+
+def _distance(evidence: Evidence, wanted: Hypothesis, amplitude: Array, other: Hypothesis | None) -> float:
+    """Return half the squared whitened length of what ``wanted`` adds and neither nuisance nor ``other`` imitates."""
+    ids = [*wanted.columns, *evidence.prior, *(other.columns if other is not None else ())]
+    k = len(wanted.columns)
+    matrix = np.zeros((len(ids), len(ids)))
+    for slot in evidence.slots:
+        stated = evidence.stated[slot]
+        gram, _ = evidence.products(slot, ids)
+        matrix += np.tensordot(1.0 / (stated if stated is not None else evidence.floor[slot]), gram, 1)
+    for place, i in enumerate(ids):
+        if i in evidence.prior:
+            matrix[place, place] += 1.0 / evidence.prior[i] ** 2
+    inside = matrix[:k, :k]
+    if len(ids) > k:
+        rest = matrix[k:, k:] + 1e-10 * np.diag(np.diag(matrix[k:, k:]) + 1e-300)
+        inside = inside - matrix[:k, k:] @ np.linalg.solve(rest, matrix[k:, :k])
+    return float(0.5 * amplitude @ inside @ amplitude)

@@ -1,0 +1,88 @@
+"""Parameters of an adopted hypothesis with their uncertainty, its shape's uncertainty included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from inertial.documents import ParameterValue
+from simulators.discrepancy.candidates import Column, Hypothesis
+from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.effects import get_effect
+from simulators.effects.base import unit_of
+
+_SHIFT = {"time_constant": 0.05, "half_width": 0.02, "limit": 0.002, "reference": 0.5, "nominal": 0.1}
+_RELATIVE = ("time_constant", "half_width", "limit")
+
+
+def parameters_of(
+    evidence: Evidence, hypothesis: Hypothesis, everything: Sequence[Hypothesis], fit: Fit
+) -> dict[str, ParameterValue]:
+    """Return value and 1σ of every parameter, in SI.
+
+    A shape is varied by fitting, beside the column, its change with the shape: to first order that change's amplitude
+    is the shape's shift, and its covariance with the column's own amplitude is accounted for.
+    """
+    effect = get_effect(hypothesis.effect)
+    ids = [i for h in everything for i in h.columns]
+    fixed = [i for h in everything if h.unit_amplitude for i in h.columns]
+    shapes = [name for name in hypothesis.shape if name != "rides"]
+    change = _change(evidence, hypothesis, shapes[0]) if shapes else None
+    late = None
+    if change is not None:
+        column, shift = change
+        evidence.library.columns.append(column)
+        late = len(evidence.library.columns) - 1
+        fit = evidence.fit([*ids, late], fit, fixed)
+    free = [i for i in fit.ids if i not in fixed]
+    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    values: dict[str, ParameterValue] = {}
+    amplitudes = [p for p in effect.parameters if p.name not in hypothesis.shape]
+    for parameter, i in zip(amplitudes, hypothesis.columns, strict=False):
+        place = free.index(i)
+        unit = unit_of(parameter, hypothesis.channel)
+        values[parameter.name] = ParameterValue(value=float(fit.amplitude[place]), sigma=float(sigma[place]), unit=unit)
+    for parameter in effect.parameters:
+        name = parameter.name
+        if name not in hypothesis.shape:
+            continue
+        value, spread = hypothesis.shape[name], None
+        if late is not None and name == shapes[0]:
+            place = free.index(late)
+            size = 1.0 if hypothesis.unit_amplitude else float(fit.amplitude[free.index(hypothesis.columns[0])])
+            if size != 0.0:
+                moved, spread = float(fit.amplitude[place]) * shift / size, abs(float(sigma[place]) * shift / size)
+                value += moved if abs(moved) < 2.0 * spread else 0.0
+        if name == "frequency":
+            spread = _frequency_sigma(evidence, values)
+        values[name] = ParameterValue(value=float(value), sigma=spread, unit=unit_of(parameter, hypothesis.channel))
+    return values
+
+
+def _frequency_sigma(evidence: Evidence, amplitudes: dict[str, ParameterValue]) -> float | None:
+    """Return the 1σ of a line's frequency [Hz]: √3·σ_A/(π·A·T), T the record's length (Rife and Boorstyn 1974)."""
+    size = float(np.linalg.norm([v.value for v in amplitudes.values()]))
+    sigma = float(np.mean([v.sigma or 0.0 for v in amplitudes.values()]))
+    time_s = evidence.library.scenes[0].time_s
+    return float(np.sqrt(3.0)) * sigma / (np.pi * size * float(time_s[-1] - time_s[0])) if size > 0.0 else None
+
+
+def _change(evidence: Evidence, hypothesis: Hypothesis, name: str) -> tuple[Column, float] | None:
+    """Return how the column changes when its shape is shifted, and by how much it was."""
+    library = evidence.library
+    value = hypothesis.shape[name]
+    shift = _SHIFT.get(name, 0.0) * (value if name in _RELATIVE else 1.0)
+    scene = library.scenes[0]
+    if name == "time":
+        shift = 2.0 * scene.seen.interval_s
+    if shift == 0.0:  # a line's frequency: its change is two columns, its σ follows from the phase's
+        return None
+    later = library.trial(hypothesis.effect, hypothesis.channel, {name: value + shift}, hypothesis.places)
+    if later is None:
+        return None
+    one, two = library.columns[hypothesis.columns[0]], library.columns[later.columns[0]]
+    parts = {slot: two.parts[slot] - one.parts[slot] for slot in one.parts if slot in two.parts}
+    if not parts or all(not np.any(p) for p in parts.values()):
+        return None
+    return Column(parts), shift

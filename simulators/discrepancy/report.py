@@ -1,0 +1,411 @@
+"""The whole of it: compare, name, add, show. ``discrepancy()`` is the Python call; the report is plain data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.recording import Recording
+from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
+from simulators.discrepancy.adopt import TIE, Adopted, Search, Searcher
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
+from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare
+from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.gap import navigation_gap, rms, where
+from simulators.discrepancy.heldout import held_out
+from simulators.discrepancy.next_recording import propose
+from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
+from simulators.discrepancy.parameters import parameters_of
+from simulators.discrepancy.unexplained import Unexplained, judge
+from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
+from simulators.discrepancy.words import in_words
+from simulators.effects import get_effect
+from simulators.effects.base import unit_of
+from simulators.model_store import save_model
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+SCHEMA = "inertrim/discrepancy/1"
+OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
+"""Effects that happened to a recording and are no property of the block: reported, not added to its model."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found. ``document`` is ``report.json``; ``model`` the model with it added, or the one given."""
+
+    document: dict[str, Any]
+    model: BlockModel
+    scenes: tuple[Scene, ...]
+    search: Search
+
+    @property
+    def verdict(self) -> str:
+        """``named``, ``tie``, ``unknown`` or ``none``."""
+        return str(self.document["verdict"])
+
+    @property
+    def findings(self) -> list[dict[str, Any]]:
+        """What was named, the most evident first."""
+        return list(self.document["findings"])
+
+
+def discrepancy(
+    recordings: Sequence[Recording], model: BlockModel, out: Path | None = None, progress: Progress | None = None
+) -> Report:
+    """Find where recordings and a block's model disagree, name what is missing, add it, show the gap shrink.
+
+    Parameters
+    ----------
+    recordings : of the same block.
+    model : what the simulator believes of it.
+    out : folder for ``report.json``, ``report.html`` and the new model; none: nothing is written.
+    progress : called with the share done and a word on what is being done.
+
+    Raises
+    ------
+    RecordingError, ScenarioError, DocumentError
+        A recording or the model cannot be used; the text says which, why and what to do.
+    ValueError
+        No recording.
+    """
+    if not recordings:
+        raise ValueError("no recording given; give one or more")
+    tell = progress or _silent
+    tell(0.02, "predicting")
+    raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
+    mistakes = find_mistakes(raw)
+    scenes = [replace(scene, measured=mend(scene.measured, mistakes)) for scene in raw] if mistakes else raw
+    tell(0.1, "listing what could explain")
+    library = Library(scenes)
+    tell(0.25, "gathering")
+    evidence = Evidence(library)
+    search = Searcher(evidence, tell).run()
+    tell(0.95, "writing down")
+    report = _report(recordings, model, raw, scenes, search, mistakes)
+    if out is not None:
+        _write(report, out)
+    tell(1.0, "done")
+    return report
+
+
+def _report(
+    recordings: Sequence[Recording],
+    model: BlockModel,
+    raw: list[Scene],
+    scenes: list[Scene],
+    search: Search,
+    mistakes: list[Mistake],
+) -> Report:
+    evidence = search.evidence
+    whole = held_out(evidence, search.fit)
+    named, rejected = _kept(search, evidence)
+    noise, other_noise = name_noise(evidence, search.fit)
+    unexplained = judge(search, named, other_noise)
+    named = [a for a in named if a not in unexplained.withdrawn]
+    findings = [_wiring_finding(m, search) for m in mistakes]
+    findings += _repair_findings(scenes)
+    findings += sorted((_finding(a, search, evidence) for a in named), key=lambda f: -f["evidence_nats"])
+    findings += [_noise_finding(n, search) for n in noise]
+    verdict = "none"
+    if unexplained.terms:
+        verdict = "unknown"
+    elif any(f["alternatives"] for f in findings):
+        verdict = "tie"
+    elif findings:
+        verdict = "named"
+    added = _entries(findings, model, recordings)
+    child = model.model_copy(update={"parent": model.sha256(), "effects": [*model.effects, *added]}) if added else model
+    slots = evidence.slots
+    before, after = whole.rms(slots)
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "text": "",
+        "findings": findings,
+        "remaining": unexplained.document(),
+        "reference": [_reference(a, search.fit) for a in search.of_kind(Kind.REFERENCE)],
+        "rejected": rejected,
+        "gap": {
+            "whitened_rms": {"before": rms(search, slots, search.bare), "after": rms(search, slots, search.fit)},
+            "heldout_rms": {"before": before, "after": after},
+            "structured_share": _structured(search, slots),
+            "navigation_m": navigation_gap(raw, scenes, search),
+            "steps": _steps(search, named),
+        },
+        "where": where(search),
+        "noise": _noise_document(search),
+        "false_alarm_rate": 0.01,
+        "model": {"parent": model.sha256(), "sha256": child.sha256() if added else None},
+        "inputs": _inputs(recordings),
+        "next_recording": [],
+    }
+    document["next_recording"] = _next(search, named, unexplained)
+    for finding in document["findings"]:
+        finding["next_recording"] = document["next_recording"][:1]
+    document["text"] = in_words(document)
+    return Report(document, child, tuple(scenes), search)
+
+
+def _kept(search: Search, evidence: Evidence) -> tuple[list[Adopted], list[dict[str, Any]]]:
+    """Keep the names that predict what their fit did not see; say of the others why not."""
+    named, rejected = [], []
+    for adopted in search.of_kind(Kind.NAMED):
+        held = held_out(evidence, search.fit, adopted.hypothesis.columns)
+        gained = sum(held.before.values()) - sum(held.after.values())
+        if gained > 0.0 or adopted.hypothesis.unit_amplitude:
+            named.append(adopted)
+        else:
+            h = adopted.hypothesis
+            reason = f"does not predict held-out data better (by {gained:.1f} in χ²)"
+            rejected.append({"effect": h.effect, "channel": h.channel, "reason": reason})
+    return named, rejected
+
+
+def _finding(adopted: Adopted, search: Search, evidence: Evidence) -> dict[str, Any]:
+    h = adopted.hypothesis
+    everything = [a.hypothesis for a in search.adopted]
+    values = parameters_of(evidence, h, everything, search.fit)
+    slots = sorted(evidence.touched(h.columns))
+    held = held_out(evidence, search.fit, h.columns)
+    before, after = held.rms(slots)
+    without = [x for other in everything if other is not h for x in other.columns]
+    rest = evidence.fit(
+        without, search.fit, [x for o in everything if o.unit_amplitude and o is not h for x in o.columns]
+    )
+    return {
+        "effect": h.effect,
+        "channel": h.channel,
+        "parameters": {name: value.model_dump() for name, value in values.items()},
+        "confidence": _confidence(adopted),
+        "alternatives": [_rival(s.hypothesis, adopted.score - s.score) for s in adopted.ties],
+        "runners_up": [
+            _rival(s.hypothesis, adopted.score - s.score)
+            for s in adopted.rivals
+            if s.hypothesis.kind is Kind.NAMED and s.score <= adopted.score - TIE
+        ],
+        "evidence_nats": adopted.score,
+        "size_sigma": math.sqrt(max(2.0 * adopted.gain, 0.0)),
+        "gap_before": rms(search, slots, rest),
+        "gap_after": rms(search, slots, search.fit),
+        "heldout_before": before,
+        "heldout_after": after,
+        "text": get_effect(h.effect).text,
+    }
+
+
+def _confidence(adopted: Adopted) -> float:
+    """Return the probability of this name among those that were looked at, and that it is there at all."""
+    odds = sum(math.exp(min(s.score - adopted.score, 50.0)) for s in adopted.ties) + math.exp(-adopted.score)
+    return 1.0 / (1.0 + odds)
+
+
+def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:
+    return {"effect": hypothesis.effect, "channel": hypothesis.channel, "behind_nats": behind}
+
+
+def _plain(
+    effect: str, channel: str, parameters: dict[str, ParameterValue], evidence: float, before: float, after: float
+) -> dict[str, Any]:
+    return {
+        "effect": effect,
+        "channel": channel,
+        "parameters": {name: value.model_dump() for name, value in parameters.items()},
+        "confidence": 1.0 - math.exp(-min(evidence, 50.0)),
+        "alternatives": [],
+        "runners_up": [],
+        "evidence_nats": evidence,
+        "size_sigma": math.sqrt(2.0 * max(evidence, 0.0)),
+        "gap_before": before,
+        "gap_after": after,
+        "heldout_before": before,
+        "heldout_after": after,
+        "text": get_effect(effect).text,
+    }
+
+
+def _wiring_finding(mistake: Mistake, search: Search) -> dict[str, Any]:
+    values = {}
+    if mistake.effect == "unit_error":
+        values["factor"] = ParameterValue(value=mistake.factor, sigma=0.0, unit="1")
+    names = [n for part in mistake.channel.split("<-") for n in CHANNELS if n.startswith(part)]
+    slots = [s for s in search.evidence.slots if CHANNELS[s[1]] in names]
+    after = rms(search, slots, search.fit)
+    count = sum(search.evidence.basis[s].n for s in slots)
+    before = math.sqrt(after**2 + mistake.explained / max(count, 1))
+    finding = _plain(mistake.effect, mistake.channel, values, 0.5 * mistake.explained, before, after)
+    if mistake.constant and mistake.effect != "axis_swap":
+        finding["alternatives"] = [{"effect": "bias_shift", "channel": mistake.channel, "behind_nats": 2.0}]
+    return finding
+
+
+def _repair_findings(scenes: list[Scene]) -> list[dict[str, Any]]:
+    findings = []
+    frames = sum(len(scene.time_s) for scene in scenes)
+    lost = sum(scene.data.lost for scene in scenes)
+    if lost:
+        share = lost / frames
+        sigma = math.sqrt(share * (1.0 - share) / frames)
+        value = {"fraction": ParameterValue(value=share, sigma=sigma, unit="1")}
+        findings.append(_plain("lost_samples", "all", value, 50.0, 1.0, 1.0))
+    for scene in scenes:
+        interval = scene.seen.interval_s
+        for stuck in scene.data.stuck:
+            values = {
+                "start": ParameterValue(value=stuck.start_s, sigma=interval, unit="s"),
+                "duration": ParameterValue(value=stuck.duration_s, sigma=interval, unit="s"),
+            }
+            findings.append(_plain("stuck_samples", stuck.channel, values, 50.0, 1.0, 1.0))
+    return findings
+
+
+def _noise_finding(noise: NoiseFinding, search: Search) -> dict[str, Any]:
+    parameter, _ = TERMS[noise.effect]
+    effect = get_effect(noise.effect)
+    unit = unit_of(effect.parameters[0], noise.channel)
+    slots = [s for s in search.evidence.slots if CHANNELS[s[1]] == noise.channel]
+    squares = count = 0.0
+    for slot in slots:
+        stated = search.evidence.stated[slot]
+        if stated is not None:
+            squares += float(np.sum(search.fit.rss[slot] / stated))
+            count += search.evidence.basis[slot].n
+    values = {parameter: ParameterValue(value=noise.value, sigma=noise.sigma, unit=unit)}
+    before, after = math.sqrt(squares / max(count, 1.0)), rms(search, slots, search.fit)
+    finding = _plain(noise.effect, noise.channel, values, noise.score, before, after)
+    finding["alternatives"] = [{"effect": t, "channel": noise.channel, "behind_nats": 1.5} for t in noise.ties]
+    return finding
+
+
+def _reference(adopted: Adopted, fit: Fit) -> dict[str, Any]:
+    h = adopted.hypothesis
+    return {
+        "error": h.effect,
+        "of": h.channel,
+        "evidence_nats": adopted.score,
+        "values": [float(fit.amplitude[fit.ids.index(i)]) for i in h.columns],
+        "text": _REFERENCE_TEXT[h.effect],
+    }
+
+
+_REFERENCE_TEXT = {
+    "turn_timing": "the turns did not start and stop when stated (seconds late, start and end of each turn)",
+    "turn_angle": "the turns were not as large as stated (share of each)",
+    "turn_timing_and_angle": "the turns were neither timed nor sized as stated",
+    "turn_axis": "the turns were about other axes than stated (radians, two for each turn)",
+    "turn_motion": "the turns differed from what is stated in time, size and axis",
+    "lever_arm": "the block did not turn about its own centre (metres along x, y, z)",
+}
+
+
+def _structured(search: Search, slots: Sequence[Slot]) -> dict[str, float]:
+    """Return the share of the residual's variance that is more than noise, before and after."""
+    shares = {}
+    for name, fit in (("before", search.bare), ("after", search.fit)):
+        value = rms(search, slots, fit) ** 2
+        shares[name] = max(0.0, 1.0 - 1.0 / value) if value > 0.0 else 0.0
+    return shares
+
+
+def _steps(search: Search, named: Sequence[Adopted]) -> list[dict[str, Any]]:
+    """Return the whitened RMS as the findings go in one after the other."""
+    evidence = search.evidence
+    steps = [{"added": "nothing", "whitened_rms": rms(search, evidence.slots, search.bare)}]
+    so_far: list[Hypothesis] = []
+    for adopted in search.adopted:
+        so_far.append(adopted.hypothesis)
+        fit = evidence.fit(
+            [i for h in so_far for i in h.columns],
+            search.fit,
+            [i for h in so_far if h.unit_amplitude for i in h.columns],
+        )
+        label = f"{adopted.hypothesis.effect} on {adopted.hypothesis.channel}"
+        steps.append({"added": label, "whitened_rms": rms(search, evidence.slots, fit)})
+    del named
+    return steps
+
+
+def _noise_document(search: Search) -> dict[str, Any]:
+    """Return the noise found, as white density and the slow terms' share, by channel."""
+    document = {}
+    for slot in search.evidence.slots:
+        power, basis = search.fit.noise[slot].power, search.evidence.basis[slot]
+        white = math.sqrt(float(np.median(power[len(power) // 2 :])) * basis.interval_s)
+        level = ("stated", "white", "coloured")[search.fit.noise[slot].level]
+        document[f"{slot[0]}:{CHANNELS[slot[1]]}"] = {"white": white, "level": level}
+    return document
+
+
+def _next(search: Search, named: Sequence[Adopted], unexplained: Unexplained) -> list[dict[str, Any]]:
+    """Return proposals for the finding that is least certain."""
+    candidates = [a for a in named if get_effect(a.hypothesis.effect).name]
+    if not candidates:
+        return []
+    doubtful = min(candidates, key=lambda a: (not a.ties, a.score))
+    rivals = [s.hypothesis for s in (doubtful.ties or doubtful.rivals[:2]) if s.hypothesis.kind is Kind.NAMED]
+    del unexplained
+    proposals = propose(search.evidence, search.fit, doubtful.hypothesis, rivals)
+    about = f"{doubtful.hypothesis.effect} on {doubtful.hypothesis.channel}"
+    return [{"name": p.name, "text": p.text, "about": about, "expected_nats": p.expected_nats} for p in proposals]
+
+
+def _entries(findings: list[dict[str, Any]], model: BlockModel, recordings: Sequence[Recording]) -> list[EffectEntry]:
+    entries = []
+    for finding in findings:
+        if finding["effect"] in OF_THE_RECORDING:
+            continue
+        kept = ("evidence_nats", "confidence", "gap_before", "gap_after", "heldout_before", "heldout_after")
+        evidence = {name: finding[name] for name in kept}
+        evidence["alternatives"] = finding["alternatives"]
+        evidence["rejected"] = finding["runners_up"]
+        evidence["recordings"] = _inputs(recordings)
+        parameters = {name: ParameterValue(**value) for name, value in finding["parameters"].items()}
+        sigma = next((p.sigma for p in parameters.values()), None)
+        entries.append(
+            EffectEntry(
+                effect=finding["effect"],
+                channel=finding["channel"],
+                parameters=parameters,
+                sigma=sigma,
+                evidence=evidence,
+            )
+        )
+    del model
+    return entries
+
+
+def _inputs(recordings: Sequence[Recording]) -> dict[str, str]:
+    inputs: dict[str, str] = {}
+    for recording in recordings:
+        if recording.path.is_file() and recording.meta_path.is_file():
+            inputs.update(recording.inputs())
+    return inputs
+
+
+def _write(report: Report, out: Path) -> None:
+    """Write the report as JSON and HTML, and the new model beside them."""
+    from simulators.discrepancy.page import render
+
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in (
+        ("report.json", json.dumps(report.document, indent=2, allow_nan=False) + "\n"),
+        ("report.html", render(report)),
+    ):
+        part = out / f"{name}.part"
+        part.write_text(text, encoding="utf-8")
+        part.replace(out / name)
+    digest = report.document["model"]["sha256"]
+    if digest:
+        save_model(report.model, out / f"{digest}.json")
+
+
+def _silent(share: float, text: str) -> None:
+    del share, text

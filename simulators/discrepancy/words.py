@@ -1,0 +1,66 @@
+"""The verdict as a paragraph that can be read aloud."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_FACES = {
+    "m/s^2": (1e3 / 9.80665, "mg"),
+    "rad/s": (206264.80624709636, "deg/h"),
+    "rad": (57.29577951308232, "deg"),
+    "rad/s/(m/s^2)": (206264.80624709636 * 9.80665, "deg/h/g"),
+}
+
+
+def in_words(document: dict[str, Any]) -> str:
+    """Return what a report's document says, in plain words."""
+    sentences = []
+    findings = document["findings"]
+    if document["verdict"] == "none":
+        sentences.append("Model and measurement agree: what is left is noise, and nothing needs a name.")
+    for finding in findings:
+        sentences.append(_finding(finding))
+    for term in document["remaining"]["empirical"]:
+        sentences.append(
+            f"On {term['channel']} there is structure that no effect in the library explains ({term['term']}); "
+            "it is marked as empirical, for an engineer to name."
+        )
+    for term in document["remaining"]["misfits"]:
+        sentences.append(f"The {term['of'].replace('_', ' ')} fits to a few per cent only ({term['term']} is left).")
+    for reference in document["reference"]:
+        sentences.append(f"The reference is off: {reference['text']}; this is not laid to the block.")
+    gap = document["gap"]["heldout_rms"]
+    if findings:
+        sentences.append(
+            f"On data that the fit did not see, the whitened gap goes from {gap['before']:.3f} to {gap['after']:.3f}, "
+            "where noise alone is 1."
+        )
+        before, after = (document["gap"]["navigation_m"][k].get("60") for k in ("before", "after"))
+        if before is not None and after is not None:
+            sentences.append(
+                f"After a minute of navigation the two are {before:.2f} m apart before, {after:.2f} m after."
+            )
+    if document["next_recording"]:
+        best = document["next_recording"][0]
+        sentences.append(
+            f"To be surer about {best['about'].replace('_', ' ')}, record {best['text']}: "
+            f"{best['expected_nats']:.0f} nats of evidence are to be expected."
+        )
+    return " ".join(sentences)
+
+
+def _finding(finding: dict[str, Any]) -> str:
+    name = finding["effect"].replace("_", " ")
+    sizes = ", ".join(_value(n, p) for n, p in finding["parameters"].items())
+    text = f"There is a {name} on {finding['channel']}{f' ({sizes})' if sizes else ''}"
+    others = [f"{a['effect'].replace('_', ' ')} on {a['channel']}" for a in finding["alternatives"]]
+    if others:
+        text += f"; this data cannot tell it from {' or '.join(others)}"
+    return text + "."
+
+
+def _value(name: str, parameter: dict[str, Any]) -> str:
+    factor, unit = _FACES.get(parameter["unit"], (1.0, parameter["unit"]))
+    sigma = parameter["sigma"]
+    spread = f" ± {sigma * factor:.2g}" if sigma else ""
+    return f"{name.replace('_', ' ')} {parameter['value'] * factor:.4g}{spread} {unit}".replace(" 1", "", 0)
