@@ -65,22 +65,32 @@ class Continuity:
     def _judge(
         self, samples: SampleArray, host_time_s: NDArray[np.float64], reopened: frozenset[int], marks: Marks
     ) -> None:
-        """Go row by row."""
-        keep: list[int] = []
-        rows = zip(samples["sequence"].tolist(), samples["time"].tolist(), host_time_s.tolist(), strict=True)
-        for row, (sequence, time_s, host_s) in enumerate(rows):
-            if self._last is not None:
-                last_sequence, last_time_s, last_host_s = self._last
-                step = (sequence - last_sequence + 2**31) % 2**32 - 2**31
-                elapsed_s = time_s - last_time_s
-                if step == 0 and elapsed_s == 0:
-                    marks.duplicates += 1
-                    continue
-                unseen_s = host_s - last_host_s - elapsed_s if row in reopened else 0.0
-                if step <= 0 or elapsed_s <= 0 or (step > 1 and unseen_s > self._tolerance_s):
-                    marks.restarts.append(len(keep))
-                elif step > 1:
-                    marks.gaps.append(Gap(len(keep), step - 1, elapsed_s))
-            keep.append(row)
-            self._last = (sequence, time_s, host_s)
-        marks.keep = np.array(keep, np.intp)
+        """Look at the rows that are not simply the next one after their forerunner."""
+        first = self._last is None
+        last_sequence, last_time_s, last_host_s = self._last or (0, 0.0, 0.0)
+        # Modulo 2³², so that a wrap is a step of one.
+        steps = np.diff(samples["sequence"], prepend=np.uint32(last_sequence)).astype(np.int32)
+        elapsed = np.diff(samples["time"], prepend=last_time_s)
+        odd = (steps != 1) | (elapsed <= 0)
+        odd[list(reopened)] = True
+        odd[0] &= not first
+        dropped: dict[int, None] = {}
+        for row in np.flatnonzero(odd).tolist():
+            step, elapsed_s = int(steps[row]), float(elapsed[row])
+            if step == 0 and elapsed_s == 0:
+                dropped[row] = None
+                continue
+            before = row - 1
+            while before in dropped:
+                before -= 1
+            host_s = last_host_s if before < 0 else float(host_time_s[before])
+            unseen_s = float(host_time_s[row]) - host_s - elapsed_s if row in reopened else 0.0
+            if step <= 0 or elapsed_s <= 0 or (step > 1 and unseen_s > self._tolerance_s):
+                marks.restarts.append(row - len(dropped))
+            elif step > 1:
+                marks.gaps.append(Gap(row - len(dropped), step - 1, elapsed_s))
+        marks.duplicates = len(dropped)
+        marks.keep = np.delete(np.arange(len(samples)), list(dropped))
+        if len(marks.keep):
+            last = marks.keep[-1]
+            self._last = (int(samples["sequence"][last]), float(samples["time"][last]), float(host_time_s[last]))

@@ -20,6 +20,7 @@ from typing import Any
 import serial
 
 from drivers.capture import CaptureWriter, RecordKind, describe_line
+from drivers.clock import ClockFit, HostClock
 from drivers.counters import Counters
 from drivers.messages import Received
 from drivers.protocols.base import Protocol
@@ -104,6 +105,8 @@ class SerialLink:
         self._arrived = threading.Condition()
         self._decoder = StreamDecoder(protocol, bit_rate, self.timebase.limit_s(0.1), self.counters)
         self._decoding = threading.Lock()
+        self._clock = HostClock()
+        self._clock_use = threading.Lock()
         self._next_batch = 0.0
         self._newest_s: float | None = None
         self._line = LinkState.DISCONNECTED  # as the reading thread sees it; SYNCING stands for open
@@ -166,6 +169,11 @@ class SerialLink:
         """Return how long ago [simulated s] the newest sample came; infinite when none ever did."""
         return float("inf") if self._newest_s is None else max(0.0, self.timebase.now_s() - self._newest_s)
 
+    def clock(self) -> ClockFit | None:
+        """Return how the block's clock stands to simulated time, with σ; None until there is enough to say."""
+        with self._clock_use:
+            return self._clock.fit()
+
     def read(self, timeout_s_real: float = 0.1) -> Batch | None:
         """Decode what has come; wait up to ``timeout_s_real`` [real s] for something, and return None without.
 
@@ -185,6 +193,8 @@ class SerialLink:
                 batch = self._decoder.take(self.timebase.now_s())
                 if len(batch.samples):
                     self._newest_s = float(batch.host_time_s[-1])
+                    with self._clock_use:
+                        batch.follow_clock(self._clock)
                 if batch or remaining <= 0 or self._stopping.is_set():
                     break
         for received in batch.messages:

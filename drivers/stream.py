@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.clock import HostClock
 from drivers.continuity import Continuity, Gap
 from drivers.counters import Counters
 from drivers.framing import Splitter
 from drivers.messages import Received
-from drivers.protocols.base import Frame, Protocol
+from drivers.protocols.base import Frame, FrameRun, Protocol
 from drivers.rate_check import RateCheck
 from drivers.samples import SampleArray, Status
 
@@ -41,6 +43,14 @@ class Batch:
         """Whether it says anything."""
         return bool(len(self.samples) or self.messages or self.duplicates)
 
+    def follow_clock(self, clock: HostClock) -> None:
+        """Set the block's clock against the host's; where the block restarted it is another clock."""
+        first = 0
+        if self.restarts:
+            clock.restart()
+            first = self.restarts[-1]
+        clock.follow(self.samples["time"][first:], self.host_time_s[first:])
+
 
 class StreamDecoder:
     """Splitter, decoder and continuity of one stream."""
@@ -55,32 +65,40 @@ class StreamDecoder:
         self._rate_check = RateCheck(latency_s, self._decoder.stated_rate_hz)
         self._continuity = Continuity(delay_tolerance_s=latency_s + 0.5)
         self._begun = False
-        self._frames: list[Frame] = []
+        self._pieces: list[Sequence[Frame]] = []
         self._reopened_at: list[int] = []  # frames ahead of which the line was opened again
 
     def opened(self, host_time_s: float) -> None:
         """Note that the line was opened: what was half received before will not be completed."""
-        self._frames += self._splitter.restart(host_time_s)
+        self._pieces.append(self._splitter.restart(host_time_s))
         if self._begun:
-            self._reopened_at.append(len(self._frames))
+            self._reopened_at.append(sum(map(len, self._pieces)))
         self._begun = True
 
     def feed(self, data: bytes, host_time_s: float) -> None:
         """Take the next bytes, whose last one came at ``host_time_s`` [simulated s]."""
         self._begun = True
-        self._frames += self._splitter.feed(data, host_time_s)
+        self._pieces.append(self._splitter.feed(data, host_time_s))
+
+    def feed_stretch(self, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]) -> None:
+        """Take many chunks at once, which end at ``ends`` in ``data`` and came at ``times_s`` [simulated s]."""
+        self._begun = True
+        self._pieces.append(self._splitter.feed_stretch(data, ends, times_s))
 
     def finish(self) -> None:
         """Note that nothing more will come: whole frames behind an unfinished one are found, the rest is discarded."""
-        self._frames += self._splitter.restart(float("-inf"))
+        self._pieces.append(self._splitter.restart(float("-inf")))
 
     def take(self, now_s: float | None = None) -> Batch:
         """Decode what has come; with ``now_s``, frames behind a header whose time is up as well."""
         if now_s is not None:
-            self._frames += self._splitter.expire(now_s)
-        frames, self._frames = self._frames, []
+            self._pieces.append(self._splitter.expire(now_s))
+        frames = self._take_frames()
         decoded = self._decoder.decode(frames)
-        arrivals = np.array([frame.host_time_s for frame in frames], np.float64)
+        if isinstance(frames, FrameRun):
+            arrivals = frames.host_time_s
+        else:
+            arrivals = np.array([frame.host_time_s for frame in frames], np.float64)
         host_time_s = arrivals[decoded.frame_of_sample]
         self._rate_check.follow(decoded.samples, host_time_s)
         reopened = self._rows_after_reopening(decoded.frame_of_sample)
@@ -96,6 +114,13 @@ class StreamDecoder:
             marks.duplicates,
             self._rate_check.condition,
         )
+
+    def _take_frames(self) -> Sequence[Frame]:
+        """Return what has been split since the last call, as it stands where it is of one piece."""
+        pieces, self._pieces = [piece for piece in self._pieces if len(piece)], []
+        if len(pieces) == 1:
+            return pieces[0]
+        return [frame for piece in pieces for frame in piece]
 
     def _rows_after_reopening(self, frame_of_sample: NDArray[np.intp]) -> list[int]:
         """Return the first row behind each re-opening; one with none yet waits for the next batch."""
