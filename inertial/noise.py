@@ -71,7 +71,8 @@ def identify_noise(rate: npt.ArrayLike, interval_s: float) -> NoiseFit:
     Returns
     -------
     NoiseFit
-        Terms not seen carry their most likely value (often 0) and an interval that starts at 0.
+        Terms not seen carry their most likely value (often 0) and an interval that starts at 0. That of a term just
+        seen may reach 0 as well: of those too small to be seen, only the ones that chance enlarged are.
 
     Raises
     ------

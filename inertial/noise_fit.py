@@ -44,7 +44,6 @@ class ChannelFit:
 
     def __init__(self, spectrum: Spectrum) -> None:
         self._known = np.full(4, np.nan)
-        self._whole_freedom = spectrum.freedom
         self._use(spectrum)
         self.best, self.value = self._global()
         self.rounded = self._rounded()
@@ -66,7 +65,7 @@ class ChannelFit:
         """Take coarse rounding for what it is, where the increments lie on a lattice and the spectrum agrees.
 
         Its error is then no white angle noise, and its step is known from the lattice. It is not Gaussian either, so
-        cells count by how much of them is other noise.
+        cells count by how much of them is other noise; the intervals, which know no better, are then a little wide.
         """
         plain, best, value = self._spectrum, self.best, self.value
         rounding = plain.rounding
@@ -201,7 +200,7 @@ class ChannelFit:
         """Return quantisation, white, flicker or random walk."""
         if term == QUANTISATION and self.rounded is not None:
             return self.rounded
-        sharpness = self._sharpness_of_quantisation(samples) if term == QUANTISATION else self._sharpness(term)
+        sharpness = self._sharpness(samples) if term == QUANTISATION else 1.0
         significance = self.significance(term) * sharpness
         seen = significance >= SEEN_SIGMA
         low = self.limit(term, _root_after_selection(significance) / sharpness) if seen else 0.0
@@ -209,24 +208,7 @@ class ChannelFit:
         sigma = 0.5 * (self.limit(term, -1.0 / sharpness) - self.limit(term, 1.0 / sharpness))
         return NoiseTerm(float(np.sqrt(self.best[term])), sigma, (low, high), seen)
 
-    def _sharpness(self, term: int) -> float:
-        """Return by how much a term is known better than the likelihood says that counts some cells for less.
-
-        It then understates the information H it leaves out, where what it takes has the variance J: H⁻¹ J H⁻¹ < H⁻¹.
-        """
-        free = (self.best > 0.0) & ~(self._known > 0.0)
-        if self.rounded is None or self.excess.any() or not free[term]:
-            return 1.0
-        power, single, freedom, basis, ramp = self._cells
-        scale = np.outer(self.best[free], self.best[free])
-        information = evaluate(self.best, *self._cells)[2][np.ix_(free, free)] * scale
-        trusted = freedom * freedom / self._whole_freedom
-        variance = evaluate(self.best, power, single, trusted, basis, ramp)[2][np.ix_(free, free)] * scale
-        inverse = np.linalg.inv(information)
-        index = int(np.count_nonzero(free[:term]))
-        return float(np.sqrt(inverse[index, index] / (inverse @ variance @ inverse)[index, index]))
-
-    def _sharpness_of_quantisation(self, samples: int) -> float:
+    def _sharpness(self, samples: int) -> float:
         """Return by how much quantisation is known better than Gaussian noise of its size would be.
 
         Rounding errors are uniform: their square scatters less (excess kurtosis −1.2), and the cumulant enters the
