@@ -13,10 +13,16 @@ from typing import Annotated
 import typer
 
 from service.commands import model
+from service.commands.align import align
+from service.commands.budget import budget
+from service.commands.calibrate import calibrate
 from service.commands.capture import capture
 from service.commands.compensate import compensate
 from service.commands.demo import demo
+from service.commands.discrepancy import discrepancy
+from service.commands.experiments import experiments
 from service.commands.navigate import navigate
+from service.commands.noise import noise
 from service.commands.replay import replay
 from service.commands.report import report
 from service.commands.serve import serve
@@ -47,7 +53,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, simulate, capture, replay, compensate, navigate, report):
+COMMANDS = (
+    *(demo, serve, simulate, capture, replay, discrepancy),
+    *(compensate, navigate, budget, align, noise, calibrate, experiments, report),
+)
+for command in COMMANDS:
     app.command()(command)
 app.add_typer(model.app, name="model")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.recording import Recording
 from inertial.alignment import Alignment, coarse_alignment
-from inertial.documents import Noise, Result
+from inertial.documents import Calibration, Noise, Result
 from inertial.error_model import Terms
 from inertial.strapdown import navigate
 from service.errors import RefusedInput
@@ -23,7 +23,12 @@ ROWS_PER_S = 10.0
 
 
 def navigate_recording(
-    recording: Recording, result: Result | None = None, start_s: float | None = None, end_s: float | None = None
+    recording: Recording,
+    result: Result | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    *,
+    calibration: Calibration | None = None,
 ) -> dict[str, Any]:
     """Navigate from rest at the origin along a span of a recording.
 
@@ -39,6 +44,8 @@ def navigate_recording(
         Its final terms are applied, (8), (9); without it none are.
     start_s, end_s
         Device time to keep to [s].
+    calibration
+        In place of the recording's own.
 
     Returns
     -------
@@ -51,7 +58,7 @@ def navigate_recording(
     RefusedInput, RecordingError, DocumentError
         Nothing lies in the span, or the attitude cannot be found.
     """
-    physical = Physical.of(recording)
+    physical = Physical.of(recording, calibration)
     low = physical.start_s if start_s is None else start_s
     high = physical.end_s if end_s is None else end_s
     span = physical.span(low, high)

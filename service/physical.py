@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.recording import Recording
-from drivers.recording_meta import TurnMeta
+from drivers.recording_meta import RecordingMeta, TurnMeta
 from drivers.samples import intervals_s
 from inertial.alignment import Reference
 from inertial.attitude import body_to_tangent, roll_pitch_heading, rotation_matrix
@@ -35,16 +35,24 @@ class Physical:
 
     @classmethod
     def of(
-        cls, recording: Recording, calibration: Calibration | None = None, model: BlockModel | None = None
+        cls,
+        recording: Recording,
+        calibration: Calibration | None = None,
+        model: BlockModel | None = None,
+        *,
+        needs_site: bool = True,
     ) -> Physical:
         """Convert a recording; its own calibration gives way to one given here and goes before a model's.
+
+        ``needs_site``: what is asked of it depends on where it was made; else an unknown latitude counts as zero.
 
         Raises
         ------
         RecordingError, DocumentError, RefusedInput
             The site lacks its latitude, the calibration is damaged, or its coefficients cannot be used.
         """
-        recording.require("site.latitude_deg")
+        if needs_site:
+            recording.require("site.latitude_deg")
         coefficients, origin = _coefficients(recording, calibration, model)
         return cls(
             recording, intervals_s(recording.samples), site_of(recording), reference_of(recording), coefficients, origin
@@ -112,11 +120,16 @@ class Physical:
 
 def site_of(recording: Recording) -> Site:
     """Return the site in SI."""
-    given = recording.meta.site
     try:
-        return Site.at(math.radians(given.latitude_deg or 0.0), given.height_m or 0.0, given.gravity_mps2)
+        return site_of_meta(recording.meta)
     except ValueError as error:
         raise RefusedInput(f"{recording.meta_path}: [site]", f"{error}.", "Correct it.") from None
+
+
+def site_of_meta(meta: RecordingMeta) -> Site:
+    """Return the site of a TOML in SI."""
+    given = meta.site
+    return Site.at(math.radians(given.latitude_deg or 0.0), given.height_m or 0.0, given.gravity_mps2)
 
 
 def reference_of(recording: Recording) -> Reference:
