@@ -2,12 +2,14 @@
 
 At power-up it is idle, its sensors off: it sends identity and configuration, once each second, until it is told to
 start. Then its sensors are switched on: device time, sequence, warm-up and noise begin at zero, and frames stream.
+A block whose protocol has no commands streams from power-up.
 After ``Stop`` the sensors run on unheard, so that a later ``Start`` goes on with the time that it is. The terms are
 kept with their CRC and a count of writes, and are never applied to the frames.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -37,7 +39,7 @@ from drivers.messages import (
     WriteCompensation,
     terms_crc,
 )
-from drivers.protocols.base import Protocol
+from drivers.protocols.base import Protocol, ProtocolError
 from drivers.samples import Status, empty_samples
 from inertial.documents import BlockModel
 from inertial.earth import STANDARD_GRAVITY_MPS2
@@ -123,6 +125,8 @@ class Device:
     ------
     DeviceError
         Its frames need more than the line can carry.
+    ProtocolError
+        The protocol has no frames for it: a maker's device has no such sample rate.
     """
 
     def __init__(
@@ -144,7 +148,7 @@ class Device:
                 f"{bit_rate} bit/s; lower [block] sample_rate_hz or raise the bit rate"
             )
         # Compiles what is slow the first time, and refuses what cannot be simulated before anyone waits for it.
-        make_block(scenario, model).generate(2)
+        protocol.encode_samples(make_block(scenario, model).generate(2))
         self._replies: list[_Reply] = []
         self._streaming = False
         self._announce_s = now_s
@@ -170,6 +174,8 @@ class Device:
         """Return the frames that are due by now, in order."""
         if now_s < self._awake_s:
             return []
+        if self._block is None and not self._protocol.commands:
+            return self._speak_up(now_s)
         outgoing = [self._message(reply) for reply in self._replies if reply.due_s <= now_s]
         self._replies = [reply for reply in self._replies if reply.due_s > now_s]
         if not self._streaming and now_s >= self._announce_s:
@@ -177,6 +183,16 @@ class Device:
             outgoing += [self._message(_Reply(self._identity(), 0, now_s))]
             outgoing += [self._message(_Reply(self._configuration(), 0, now_s))]
         return outgoing + self._due_samples(now_s)
+
+    def _speak_up(self, now_s: float) -> list[Outgoing]:
+        """Begin to stream as devices do that take no commands, with what their frames can say of themselves first."""
+        self._switch_on(now_s)
+        self._streaming = True
+        outgoing = []
+        for message in (self._identity(), self._configuration()):
+            with contextlib.suppress(ProtocolError):
+                outgoing.append(self._message(_Reply(message, 0, now_s)))
+        return outgoing
 
     def restart(self, now_s: float) -> None:
         """Take the supply away for a moment."""

@@ -100,12 +100,14 @@ class Protocol(ABC):
 
     ``sync`` lists every byte pattern that a frame may begin with, ``longest`` is the greatest legal frame length
     [bytes], ``temperatures`` the number of temperature sensors in its samples, ``bit_rates`` what its devices are set
-    to, the usual one first, and ``checksum_bits`` how many bits prove a frame.
+    to, the usual one first, ``checksum_bits`` how many bits prove a frame, and ``commands`` whether its devices are
+    told when to speak; others speak from power-up.
     """
 
     name: ClassVar[str]
     bit_rates: ClassVar[tuple[int, ...]] = (921600,)
     checksum_bits: ClassVar[int] = 32
+    commands: ClassVar[bool] = False
     sync: tuple[bytes, ...]
     longest: int
     temperatures: int = 1

@@ -145,6 +145,7 @@ class Native(Protocol):
     """The frame that our own blocks and the simulator speak, either way along the line."""
 
     name: ClassVar[str] = "native"
+    commands: ClassVar[bool] = True
     sync = (SYNC,)
     longest = max(_LENGTHS.values())
     temperatures = TEMPERATURES
