@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import signal
 import subprocess
@@ -21,10 +22,14 @@ from service.controller import Controller
 from simulators.scenarios import demo_model, demo_scenario
 from simulators.simulate import write_calibration
 
-SPEED = 20.0
+SPEED = 10.0
+RATE_HZ = 50.0
+STALE_S = 5.0
+"""At that speed and rate a pseudo-terminal holds 0.6 real seconds of frames, and the line counts as stale after 0.5: what
+is tested is the service, not whether a busy machine gives it a turn ten times a second."""
 SEED = 1
 WINDOWS = {"align_s": 10.0, "stage_s": 20.0, "verify_s": 20.0, "settling_window_s": 12.0}
-"""Shorter than an operator's, so that a run takes some six seconds at that speed."""
+"""Shorter than an operator's, so that a run takes some ten seconds."""
 
 
 class Bench:
@@ -34,12 +39,14 @@ class Bench:
         self.folder, self.speed, self.epoch_s = folder, speed, time.monotonic()
         self.line = folder / "line"
         scenario, model = demo_scenario(SEED).warmed_up(), demo_model(SEED)
+        block = scenario.block.model_copy(update={"sample_rate_hz": RATE_HZ})
+        scenario = scenario.model_copy(update={"block": block})
         write_calibration(model, folder / "calibration.json")
         (folder / "block.json").write_text(model.canonical_json())
         written = scenario.model_dump(mode="json", exclude_none=True, by_alias=True, exclude_defaults=True)
         (folder / "scenario.toml").write_text(tomli_w.dumps(written))
         settings = {
-            "link": {"url": str(self.line)},
+            "link": {"url": str(self.line), "stale_after_s": STALE_S},
             "site": {"latitude_deg": 35.7, "height_m": 1200.0},
             "reference": scenario.reference.model_dump(exclude_none=True),
             "block": {"calibration": "calibration.json", "gyro_kind": "dtg"},
@@ -59,6 +66,7 @@ class Bench:
             [sys.executable, "-m", "service.cli", "simulate", *arguments, "--control"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            preexec_fn=_die_with_parent,
         )
         self._say = _pipe(process.stdin)
         events = _pipe(process.stdout)
@@ -148,7 +156,7 @@ class ServiceProcess:
     def __init__(self, bench: Bench, port: int) -> None:
         self._log = (bench.folder / "service.log").open("ab")
         command = [sys.executable, "-m", "service.cli", "serve", "--config", str(bench.config), "--port", str(port)]
-        self.process = subprocess.Popen(command, stderr=self._log, stdout=self._log)
+        self.process = subprocess.Popen(command, stderr=self._log, stdout=self._log, preexec_fn=_die_with_parent)
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}/api/v1", timeout=10)
         end = time.monotonic() + 60
         while True:
@@ -188,6 +196,11 @@ class ServiceProcess:
         self.client.close()
         self._log.close()
         return code
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this child when the test that started it is killed (prctl PR_SET_PDEATHSIG)."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:

@@ -79,5 +79,5 @@ def test_a_fault_stays_a_fault_until_somebody_acknowledges(bench: Bench) -> None
     answer = service.client.post(f"/runs/{run_id}/acknowledge", json={"operator": "Ada", "reason": "sensor replaced"})
     assert answer.status_code == 202
     service.until("OFFLINE")
-    assert len(pq.read_table(io.BytesIO(service.client.get(f"/runs/{run_id}/samples").content))) > 1_000
+    assert len(pq.read_table(io.BytesIO(service.client.get(f"/runs/{run_id}/samples").content))) > 500
     assert service.terminate() == 0
