@@ -9,6 +9,7 @@ from drivers.compiled import compiled_inline
 
 Bytes = NDArray[np.uint8]
 Tables = NDArray[np.uint32]
+Place = int | np.int64
 
 ZLIB_POLYNOMIAL = 0xEDB88320
 MPEG2_POLYNOMIAL = 0x04C11DB7
@@ -45,7 +46,7 @@ def mpeg2_tables() -> Tables:
 
 
 @compiled_inline
-def zlib_crc32(data: Bytes, start: int, stop: int, t: Tables) -> np.uint32:
+def zlib_crc32(data: Bytes, start: Place, stop: Place, t: Tables) -> np.uint32:
     """Return ``zlib.crc32(data[start:stop])``; ``t`` from :func:`zlib_tables`."""
     crc, i, end = _ONES, np.uint64(start), np.uint64(stop)
     while i + I16 <= end:
@@ -87,7 +88,7 @@ def zlib_crc32(data: Bytes, start: int, stop: int, t: Tables) -> np.uint32:
 
 
 @compiled_inline
-def mpeg2_crc32(data: Bytes, start: int, stop: int, padding: int, t: Tables) -> np.uint32:
+def mpeg2_crc32(data: Bytes, start: Place, stop: Place, padding: int, t: Tables) -> np.uint32:
     """Return CRC-32/MPEG-2 over ``data[start:stop]`` and ``padding`` zeros; ``t`` from :func:`mpeg2_tables`."""
     crc, i, end = _ONES, np.uint64(start), np.uint64(stop)
     while i + I16 <= end:
@@ -131,7 +132,7 @@ def mpeg2_crc32(data: Bytes, start: int, stop: int, padding: int, t: Tables) -> 
 
 
 @compiled_inline
-def little_u32(data: Bytes, start: int) -> np.uint32:
+def little_u32(data: Bytes, start: Place) -> np.uint32:
     """Return the four bytes from ``start`` on as a little-endian number."""
     i = np.uint64(start)
     low = np.uint32(data[i]) | (np.uint32(data[i + I1]) << _8)
@@ -139,7 +140,7 @@ def little_u32(data: Bytes, start: int) -> np.uint32:
 
 
 @compiled_inline
-def big_u32(data: Bytes, start: int) -> np.uint32:
+def big_u32(data: Bytes, start: Place) -> np.uint32:
     """Return the four bytes from ``start`` on as a big-endian number."""
     i = np.uint64(start)
     high = (np.uint32(data[i]) << _24) | (np.uint32(data[i + I1]) << _16)
@@ -147,6 +148,6 @@ def big_u32(data: Bytes, start: int) -> np.uint32:
 
 
 @compiled_inline
-def little_u64(data: Bytes, start: int) -> np.uint64:
+def little_u64(data: Bytes, start: Place) -> np.uint64:
     """Return the eight bytes from ``start`` on as a little-endian number."""
     return np.uint64(little_u32(data, start)) | (np.uint64(little_u32(data, start + 4)) << np.uint64(32))
