@@ -103,7 +103,7 @@ class SerialLink:
         self._queue: deque[tuple[float, bytes | None]] = deque()  # None: the line was opened
         self._queued_bytes = 0
         self._arrived = threading.Condition()
-        self._decoder = StreamDecoder(protocol, bit_rate, self.timebase.limit_s(0.1), self.counters)
+        self._decoder = StreamDecoder(protocol, bit_rate, self.timebase.limit_s(0.1, 0.1), self.counters)
         self._decoding = threading.Lock()
         self._clock = HostClock()
         self._clock_use = threading.Lock()

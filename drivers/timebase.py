@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 
-HOST_LATENCY_S = 0.1
+HOST_LATENCY_S = 0.4
 """Real time [s] that a loaded host may take to hand a byte on, whatever the speed of simulated time."""
 
 

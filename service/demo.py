@@ -167,7 +167,7 @@ def run_demo(path: Path, seed: int, speed: float, show: Show) -> dict[str, Any]:
         "seed": seed,
         "planted": planted(scenario, model),
         "time": {"speed": speed, "real_s": took_s, "simulated_s": took_s * speed},
-        "line": json.loads(folder.file("line.json").read_text()) if folder.file("line.json").exists() else {},
+        "line": _line_counts(folder.file("line.json")),
         "paths": {"folder": str(path), "logs": str(path)},
     }
     if status["state"] != "READY":
@@ -243,3 +243,11 @@ def _start_service(
     }
     folder.file("inertrim.toml").write_text(tomli_w.dumps(configuration))
     processes.start("service", ["serve", "--config", str(folder.file("inertrim.toml"))], folder.file("service.log"))
+
+
+def _line_counts(ledger: Path) -> dict[str, Any]:
+    """Return what the line's ledger counts, without its list of every frame touched."""
+    if not ledger.exists():
+        return {}
+    counts: dict[str, Any] = json.loads(ledger.read_text())
+    return {name: value for name, value in counts.items() if name != "cycles"}

@@ -137,7 +137,7 @@ def test_simulated_time_runs_at_its_speed_from_a_shared_epoch() -> None:
 
 def test_no_limit_is_shorter_than_what_the_host_needs() -> None:
     assert Timebase(1.0).limit_s(0.5) == 0.5
-    assert Timebase(50.0).limit_s(0.5) == 5.0
+    assert Timebase(50.0).limit_s(0.5) == 20.0  # 0.4 s of a loaded host's time
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
