@@ -56,6 +56,7 @@ def render(result: Result) -> str:
         _verdict(result),
         _section("Terms added to the readings", _terms_table(result) + _terms_figure(result)),
         _section("Verification on fresh data", _verification(result)),
+        _section("Navigation error to expect at rest", _budget(result)),
         _section("What the run could not see", _unobservable(result)),
         _section("Site and reference", _facts({**result.site, **result.reference})),
         _section("Alignment", _facts(result.alignment)),
@@ -168,6 +169,19 @@ def _verification(result: Result) -> str:
     if result.verification is None:
         return "<p>Not reached.</p>"
     return _facts(result.verification)
+
+
+def _budget(result: Result) -> str:
+    budget = result.budget
+    if budget is None:
+        return "<p>Not predicted.</p>"
+    rows = []
+    for index, time_s in enumerate(budget["time_s"]):
+        causes = ", ".join(f"{one['cause']} {100 * one['share']:.0f} %" for one in budget["contributors"][index][:3])
+        sizes = (budget["radial_m"]["50"], budget["radial_m"]["95"], budget["cep_m"])
+        cells = ["not bounded" if size[index] is None else f"{size[index]:.2f}" for size in sizes]
+        rows.append([f"{time_s:g} s", *cells, causes])
+    return _table(["after", "radial 50 %, m", "radial 95 %, m", "CEP, m", "largest contributors"], rows)
 
 
 def _unobservable(result: Result) -> str:

@@ -18,7 +18,7 @@ import pytest
 from drivers.capture import CaptureWriter
 from drivers.protocols.native import encode_samples
 from drivers.recording import read_recording
-from inertial.documents import BlockModel, Result, parse_document
+from inertial.documents import BlockModel, Calibration, Result, parse_document
 from service import cli
 
 SEED = 3
@@ -251,6 +251,59 @@ def test_span_outside_the_data_is_refused(run: Run, made: Path) -> None:
 def test_file_that_could_not_be_written_is_refused_before_the_work(run: Run, made: Path, tmp_path: Path) -> None:
     refused(run("compensate", made / "run", "--out", tmp_path / "no" / "r.json"), "r.json", "does not exist", "Make it")
     refused(run("navigate", made / "run", "--json", tmp_path), str(tmp_path), "is a folder")
+
+
+def test_budget_of_a_result_with_a_profile(run: Run, made: Path, tmp_path: Path) -> None:
+    assert run("compensate", made / "run", "--start", "10", "--out", tmp_path / "r.json").code == 0
+    done = run("budget", tmp_path / "r.json", "--at", "60,300", "--json", tmp_path / "rest.json")
+    assert done.code == 0, done.err
+    assert "CEP" in done.out
+    rest = json.loads((tmp_path / "rest.json").read_text())
+    assert rest == json.loads((tmp_path / "r.json").read_text())["budget"]
+    (tmp_path / "turn.toml").write_text(
+        "[site]\n[block]\nsample_rate_hz = 100.0\n[[motion]]\nkind = 'turn'\nstart_s = 0.0\nend_s = 60.0\n"
+        "rate_dps = 3.0\naxis = [0.0, 0.0, 1.0]\nframe = 'body'\n"
+    )
+    done = run("budget", tmp_path / "r.json", "--profile", tmp_path / "turn.toml", "--json", tmp_path / "turned.json")
+    assert done.code == 0, done.err
+    assert json.loads((tmp_path / "turned.json").read_text())["profile"] == "motion"
+    refused(run("budget", tmp_path / "r.json", "--at", "soon"), "--at", "soon", "60,300")
+
+
+def test_align_noise_and_plan_say_what_they_found(run: Run, made: Path, tmp_path: Path) -> None:
+    done = run("align", made / "run", "--start", "150", "--json", tmp_path / "a.json")
+    assert done.code == 0, done.err
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert abs(found["azimuth_deg"] - found["given_azimuth_deg"]) < 3 * found["azimuth_sigma_deg"]
+    assert found["azimuth_noise_sigma_deg"] < found["azimuth_sigma_deg"]
+    done = run("noise", made / "run", "--start", "150", "--json", tmp_path / "n.json")
+    assert done.code == 0, done.err
+    white = json.loads((tmp_path / "n.json").read_text())["channels"]["gyro_x"]["terms"]["white"]
+    assert white["unit"] == "deg/sqrt(h)"
+    assert white["value_in_unit"] == pytest.approx(0.01, rel=0.1)
+    done = run("calibrate", made / "run.toml", "--plan", "--steps", "4", "--out", tmp_path / "plan.toml")
+    assert done.code == 0, done.err
+    assert "conditioning" in done.out
+    assert "[[motion]]" in (tmp_path / "plan.toml").read_text()
+
+
+def test_calibrate_refuses_what_holds_no_attitudes(run: Run, made: Path) -> None:
+    refused(run("calibrate", made / "run"), "run.parquet", "rest", "docs/calibration.md")
+    refused(run("calibrate", made / "run", "--mounting", "gyro_x"), "--mounting", "gyro_x:accel_x,accel_y")
+
+
+def test_real_counts_are_calibrated_as_published(run: Run, shared_data: Path, tmp_path: Path) -> None:
+    recording = shared_data / "recordings" / "xsens_multiposition"
+    done = run("calibrate", recording, "--out", tmp_path / "c.json", "--json", tmp_path / "facts.json")
+    assert done.code == 0, done.err
+    assert "a = T·K·(raw − b)" in done.out
+    accel = json.loads((tmp_path / "facts.json").read_text())["raw"]["accel"]
+    assert accel["K"] == pytest.approx([0.00241278, 0.00242712, 0.00241168], rel=1e-3)
+    assert accel["b"] == pytest.approx([33124.2, 33275.2, 32364.4], abs=10)
+    assert [accel["T"][0][1], accel["T"][0][2], accel["T"][1][2]] == pytest.approx(
+        [-0.0033593, -0.00890639, -0.0213341], abs=1e-3
+    )
+    assert parse_document(Calibration, (tmp_path / "c.json").read_bytes(), "c.json").order
 
 
 def test_unknown_method_protocol_and_line_are_refused(run: Run, made: Path, tmp_path: Path) -> None:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.recording import Recording, read_recording, write_recording
 from drivers.recording_meta import SiteMeta, TurnMeta, WindowMeta
 from inertial.documents import BlockModel, Calibration, Noise, Result
+from service.align import align_recording
 from service.compensate import compensate, partial
 from service.errors import RefusedInput
+from service.methods import METHODS
+from service.physical import Physical
 from service.report import render
 from service.trials import distances, planted, record
-from simulators.scenarios import Scenario, demo_model, demo_scenario
+from simulators.scenarios import Scenario, demo_model, demo_scenario, reference_errors
+
+Array = NDArray[np.float64]
 
 MG_MPS2 = 9.80665e-3
 DEG_H_RADPS = math.pi / 180 / 3600
@@ -185,8 +193,135 @@ def test_report_shows_hostile_text_as_text(result: Result) -> None:
     assert "<img" not in page
 
 
-def test_real_block_has_no_significant_shift(shared_data: Path) -> None:
-    found = compensate(read_recording(shared_data / "recordings" / "rlg_vehicle_quiet"))
+@pytest.mark.parametrize("method", list(METHODS))
+def test_every_method_makes_the_same_facts(
+    recording: Recording, scenario: Scenario, model: BlockModel, method: str
+) -> None:
+    found = compensate(recording, method=method)
+    assert (found.method, found.verdict) == (method, "shift compensated")
+    assert set(found.terms) == {"stage_1", "stage_2", "stage_3", "final"}
+    assert found.terms["final"] == found.terms["stage_3"]
+    assert found.order[:6] == ["f_x", "f_y", "f_z", "g_x", "g_y", "g_z"]
+    assert np.shape(found.covariance) == (len(found.order),) * 2
+    assert max(distances(scenario, model, found)) < 3.5
+    so_far = partial(recording, found.windows[:2], method=method)
+    assert so_far == {"stage_1": found.terms["stage_1"]}
+    assert found.budget is not None
+    assert found.budget["time_s"] == [60.0, 300.0]
+
+
+def test_pooling_is_surer_than_the_chain(recording: Recording, model: BlockModel) -> None:
+    """With the model's noise: gyro and vertical accelerometer terms gain about 1.86 (reading.md)."""
+    pooled, chained = (compensate(recording, method=method, model=model).sigma for method in ("optimal", "paper"))
+    gain = np.array(chained.g_radps[1:], float) / np.array(pooled.g_radps[1:], float)
+    assert np.all(gain > 1.3)  # the azimuth's σ, in both alike, keeps it below 1.86
+    assert chained.f_mps2[2] is not None
+    assert pooled.f_mps2[2] is not None
+    assert chained.f_mps2[2] / pooled.f_mps2[2] > 1.5
+
+
+def test_optimal_names_its_unknowns_and_what_it_hardly_sees(result: Result) -> None:
+    assert result.order == ["f_x", "f_y", "f_z", "g_x", "g_y", "g_z", "level_1", "level_2", "azimuth"]
+    assert result.observability is not None
+    assert len(result.observability.singular_values) == 9
+    assert np.diag(np.array(result.observability.correlation)) == pytest.approx(np.ones(9))
+    assert result.observability.fit == pytest.approx(np.ones(6), abs=0.5)
+    texts = " / ".join(one.text for one in result.unobservable)
+    for words in ("x accelerometer bias and pitch are one", "roll are one", "azimuth error are one", "gravity"):
+        assert words in texts
+
+
+# ---- a second attitude -------------------------------------------------------------------------------------------
+
+
+def slewed(
+    frame: Literal["tangent", "body"], folder: Path, sigma_deg: float | None = 0.01
+) -> tuple[Scenario, Recording]:
+    """Return a block on a rough launcher (level to 0.05°, azimuth to 0.5°) that is turned about by 180° half way."""
+    rough = {"level_sigma_deg": 0.05, "azimuth_sigma_deg": 0.5, "level_frame": frame}
+    base = demo_scenario(SEED).warmed_up()
+    reference = base.reference.model_copy(update=rough)
+    kept = [entry for entry in base.effect if entry.effect == "bias_shift"]
+    effects = [*kept, *reference_errors(reference, np.random.default_rng(SEED))]
+    slew = TurnMeta(
+        kind="turn",
+        start_s=155.0,
+        end_s=175.0,
+        rate_dps=9.0,
+        axis=[0.0, 0.0, 1.0],
+        frame="tangent",
+        angle_sigma_deg=sigma_deg,
+    )
+    scenario = base.model_copy(update={"reference": reference, "effect": effects}).with_motion([slew], 300.0)
+    return scenario, record(scenario, demo_model(SEED), folder / "slewed")
+
+
+def test_a_slewed_launcher_separates_level_and_azimuth(model: BlockModel, tmp_path: Path) -> None:
+    scenario, recording = slewed("tangent", tmp_path)
+    found = compensate(recording)
+    stages = {window.kind: window.end_s for window in found.windows}
+    assert stages["stage_2"] <= 155.0 < 175.0 < stages["stage_3"]
+    assert found.verdict == "shift compensated"
+    assert found.order[-1] == "turn_1"
+    assert max(distances(scenario, model, found)) < 3.5
+    assert all(sigma is not None and sigma < 0.01 * MG_MPS2 for sigma in found.sigma.f_mps2)  # 0.86 mg by the level
+    assert abs(found.alignment["heading_deg"]) == pytest.approx(180.0, abs=0.05)
+    assert not any("accelerometer bias and pitch" in one.text for one in found.unobservable)
+    assert found.uncertainty is not None
+    assert found.uncertainty.order == found.order
+
+
+def test_a_level_error_that_rides_with_the_block_stays_hidden(model: BlockModel, tmp_path: Path) -> None:
+    scenario, recording = slewed("body", tmp_path)
+    found = compensate(recording)
+    assert found.sigma.f_mps2[0] == pytest.approx(0.86 * MG_MPS2, rel=0.1)
+    assert any("accelerometer bias and pitch" in one.text for one in found.unobservable)
+    assert max(distances(scenario, model, found)) < 3.5
+    windows = [WindowMeta(kind=w.kind, start_s=w.start_s, end_s=w.end_s) for w in found.windows]
+    meta = recording.meta.model_copy(update={"window": windows})
+    with pytest.raises(RefusedInput, match="two attitudes"):
+        compensate(replace(recording, meta=meta), method="paper")
+
+
+def test_a_turn_beside_align_is_refused(model: BlockModel, tmp_path: Path) -> None:
+    _, recording = slewed("tangent", tmp_path)
+    spans = {"align": 100.0, "stage_1": 180.0, "stage_2": 200.0, "stage_3": 220.0, "verify": 240.0}
+    windows = [WindowMeta.model_validate({"kind": k, "start_s": at, "end_s": at + 20.0}) for k, at in spans.items()]
+    meta = recording.meta.model_copy(update={"window": windows})
+    with pytest.raises(RefusedInput, match="turns between its windows align and stage_1"):
+        compensate(replace(recording, meta=meta), model=model)
+
+
+# ---- real blocks -------------------------------------------------------------------------------------------------
+
+
+def left_dph(result: Result, recording: Recording, start_s: float, end_s: float) -> Array:
+    """Return the mean rate with the terms in, beside the Earth's, by axis."""
+    physical = Physical.of(recording)
+    span = physical.span(start_s, end_s)
+    rate = span.true(physical.coefficients)[1].sum(axis=0) / span.duration_s
+    azimuth = math.radians(result.alignment["azimuth_deg"])
+    earth = np.array(result.alignment["C_tb"]).T @ physical.site.earth_rate_radps(azimuth)
+    return np.asarray((rate + result.terms["final"].g_radps - earth) / DEG_H_RADPS)
+
+
+def test_real_block_is_left_with_the_rate_of_the_earth(shared_data: Path) -> None:
+    recording = read_recording(shared_data / "recordings" / "rlg_vehicle_quiet")
+    found = compensate(recording)
+    assert found.method == "optimal"
+    assert found.verdict == "no significant shift"
+    assert abs(found.terms["final"].f_mps2[2]) < 0.02 * MG_MPS2
+    windows = {window.kind: window for window in found.windows}
+    stages = (windows["stage_1"].start_s, windows["stage_3"].end_s)
+    verify = (windows["verify"].start_s, windows["verify"].end_s)
+    for start_s, end_s in (stages, verify, (0.0, 431.0)):
+        assert np.max(np.abs(left_dph(found, recording, start_s, end_s))) < 0.15
+    assert found.sigma.f_mps2[:2] == [None, None]  # it levelled itself
+    assert None not in found.sigma.g_radps
+
+
+def test_real_block_has_no_significant_shift_by_the_paper_either(shared_data: Path) -> None:
+    found = compensate(read_recording(shared_data / "recordings" / "rlg_vehicle_quiet"), method="paper")
     assert found.verdict == "no significant shift"
     assert abs(found.terms["final"].f_mps2[2]) < 0.02 * MG_MPS2
 
@@ -195,3 +330,18 @@ def test_disturbed_block_is_not_passed_off_as_still(shared_data: Path) -> None:
     found = compensate(read_recording(shared_data / "recordings" / "rlg_vehicle_disturbed"))
     assert found.verdict == "not fit"
     assert any(reason.startswith("moved_in_") for reason in found.reasons)
+
+
+@pytest.mark.parametrize("name", ["rlg_vehicle_quiet", "rlg_vehicle_disturbed"])
+def test_inertial_alignment_finds_north_without_the_azimuth(shared_data: Path, name: str) -> None:
+    recording = read_recording(shared_data / "recordings" / name)
+    reference = recording.meta.reference.model_copy(update={"azimuth_deg": None, "azimuth_sigma_deg": None})
+    bare = replace(recording, meta=recording.meta.model_copy(update={"reference": reference}))
+    found = compensate(bare, alignment="inertial")
+    assert found.alignment["azimuth_deg"] == pytest.approx(90.6, abs=0.3)
+    assert found.windows[0].end_s - found.windows[0].start_s == 60.0
+    assert found.reference["alignment"] == "inertial"
+    assert not any(reason.startswith("moved_in_align") for reason in found.reasons)
+    whole = align_recording(bare, alignment="inertial", end_s=300.0)
+    assert whole["azimuth_deg"] == pytest.approx(90.6, abs=0.3)
+    assert whole["azimuth_noise_sigma_deg"] < 0.3 < whole["azimuth_sigma_deg"]  # nothing tells of the gyros' bias
