@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from drivers.protocols.base import Decoded, Frame, FrameRun
@@ -26,7 +27,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 def table(frames: Sequence[Frame], indices: NDArray[np.intp], skip: int, length: int) -> Bytes:
     """Return bytes ``skip`` to ``skip + length`` of the frames at ``indices`` as the rows of (n, length)."""
     if isinstance(frames, FrameRun):
-        rows: Bytes = frames.data[(frames.starts[indices] + skip)[:, None] + np.arange(length)]
+        rows: Bytes = sliding_window_view(frames.data, length)[frames.starts[indices] + skip]
         return rows
     joined = b"".join([frames[index].data[skip : skip + length] for index in indices.tolist()])
     return np.frombuffer(joined, np.uint8).reshape(-1, length)

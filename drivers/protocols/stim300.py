@@ -442,8 +442,10 @@ class Stim300Decoder(Decoder):
 
         A sample's increments are those of one interval, whatever was lost before it.
         """
-        frames = np.maximum(np.diff(sequence, prepend=self._sequence), 1)[:, None]
-        self._sequence = int(sequence[-1])
+        before, self._sequence = self._sequence, int(sequence[-1])
+        if "integrated" not in (self._setting.gyro_output, self._setting.accel_output):
+            return
+        frames = np.maximum(np.diff(sequence, prepend=before), 1)[:, None]
         if self._setting.gyro_output == "integrated":
             readings.gyro /= frames
         if self._setting.accel_output == "integrated":
