@@ -25,7 +25,7 @@ from drivers.timebase import Timebase
 NATIVE = get_protocol("native")
 SAMPLES = counting_samples(2000)
 FRAMES = encoded(SAMPLES)
-SPEED = 10.0
+SPEED = 1.0
 
 
 @pytest.fixture
