@@ -18,7 +18,9 @@ from service.commands.budget import budget
 from service.commands.calibrate import calibrate
 from service.commands.capture import capture
 from service.commands.compensate import compensate
+from service.commands.convert import convert
 from service.commands.demo import demo
+from service.commands.detect import detect
 from service.commands.discrepancy import discrepancy
 from service.commands.experiments import experiments
 from service.commands.navigate import navigate
@@ -36,6 +38,7 @@ USER_ERRORS = (
     ("drivers.capture", "CaptureError"),
     ("drivers.commands", "CommandError"),
     ("drivers.link", "LinkError"),
+    ("drivers.mcap_log", "McapError"),
     ("drivers.protocols.base", "ProtocolError"),
     ("inertial.documents", "DocumentError"),
     ("simulators.errors", "ScenarioError"),
@@ -54,7 +57,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    *(demo, serve, simulate, capture, replay, discrepancy),
+    *(demo, serve, simulate, capture, replay, convert, detect, discrepancy),
     *(compensate, navigate, budget, align, noise, calibrate, experiments, report),
 )
 for command in COMMANDS:

@@ -98,7 +98,7 @@ def _of_channel(
         wide += _whittle(rss, basis.counts, free.power)
     gained = wide - value
     total = sum(f.gain for f in found)
-    if gained > OTHER_COLOUR + 0.1 * total:
+    if gained > OTHER_COLOUR + 0.02 * total:
         lower = all(np.median(fit.noise[slot].power / power[slot]) < 0.9 for slot in slots)
         if not lower:
             slot = slots[0]

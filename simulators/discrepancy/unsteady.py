@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from simulators.discrepancy.compare import Scene
 from simulators.motion import Vibration
@@ -72,7 +73,7 @@ def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
     if channel >= 3:
         return put_back
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
-    fast = np.diff(quiet, append=quiet[-1]) / np.sqrt(2.0)
+    fast = quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest")
     source = np.resize(fast[::-1], n)
     for motion in scene.setup.motions:
         if isinstance(motion, Vibration):
