@@ -330,21 +330,25 @@ def write_recording(path: Path | str, samples: SampleArray, meta: RecordingMeta)
     """Write ``NAME.parquet`` and ``NAME.toml``, each whole or not at all, and return the first.
 
     Every number reads back as it is; ``meta.columns`` has done its work and is not written. ``path`` is NAME with or
-    without either suffix; an old pair is replaced.
+    without a suffix, ``.csv`` for CSV in place of Parquet; an old pair is replaced.
 
     Raises
     ------
     RecordingError
         The folder cannot be written.
     """
-    name = str(path).removesuffix(".parquet").removesuffix(".toml")
-    data_path, meta_path = Path(name + ".parquet"), Path(name + ".toml")
+    suffix = ".csv" if str(path).endswith(".csv") else ".parquet"
+    name = str(path).removesuffix(suffix).removesuffix(".toml")
+    data_path, meta_path = Path(name + suffix), Path(name + ".toml")
     table = pa.table(dict(_columns_of(samples)))
     try:
         data_path.parent.mkdir(parents=True, exist_ok=True)
         meta_path.unlink(missing_ok=True)  # a crash between the two must not leave new data beside an old TOML
         with _whole_file(data_path) as temporary:
-            pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+            if suffix == ".csv":
+                pa.csv.write_csv(table, temporary)
+            else:
+                pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
         with _whole_file(meta_path) as temporary:
             temporary.write_text(meta_text(meta), encoding="utf-8")
     except OSError as error:

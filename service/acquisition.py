@@ -30,6 +30,7 @@ from drivers.messages import (
     WriteCompensation,
 )
 from drivers.protocols import get_protocol
+from drivers.protocols.base import Protocol
 from drivers.samples import SampleArray
 from drivers.timebase import Timebase
 from inertial.documents import StageTerms
@@ -52,7 +53,8 @@ class RunCapture(CaptureWriter):
     A disk that fails ends the capture of that run and is counted; the line and later runs go on.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, protocol: Protocol, bit_rate: float) -> None:
+        self._protocol, self._bit_rate = protocol, bit_rate
         self._writer: CaptureWriter | None = None
         self.failures = 0
 
@@ -60,7 +62,7 @@ class RunCapture(CaptureWriter):
         """Write to ``path`` from now on."""
         self.close()
         try:
-            self._writer = CaptureWriter(path)
+            self._writer = CaptureWriter(path, protocol=self._protocol, bit_rate=self._bit_rate, packed=True)
         except CaptureError as error:
             self.failures += 1
             log.error("capture", error=str(error))
@@ -99,10 +101,11 @@ class Line:
         if settings.url is None:
             raise ValueError("a line needs a URL")
         self._settings, self._timebase = settings, timebase
-        self._capture = RunCapture()
+        protocol = get_protocol(settings.protocol, **settings.options)
+        self._capture = RunCapture(protocol, settings.bit_rate)
         self.link = SerialLink(
             settings.url,
-            get_protocol(settings.protocol, **settings.options),
+            protocol,
             bit_rate=settings.bit_rate,
             timebase=timebase,
             stale_after_s=settings.stale_after_s,

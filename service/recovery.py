@@ -6,6 +6,7 @@ import numpy as np
 import structlog
 
 from drivers.capture import CaptureError, replay
+from drivers.capture_parts import parts
 from drivers.protocols import get_protocol
 from drivers.recording import RecordingError
 from drivers.samples import SampleArray
@@ -19,7 +20,7 @@ def recover(folder: RunFolder, settings: Settings) -> None:
     """Write the recording of an interrupted run from its capture; a recording that is there already stays."""
     if folder.recording.is_file() and folder.recording.with_suffix(".toml").is_file():
         return
-    if not folder.capture.is_file():
+    if not parts(folder.capture):
         return
     try:
         samples = samples_of_capture(folder, settings)

@@ -6,11 +6,14 @@ import json
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.errors import RefusedInput
+
+if TYPE_CHECKING:
+    from drivers.protocols.base import Protocol
 
 RecordingArgument = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="NAME, NAME.parquet or NAME.csv, with NAME.toml beside it.")
@@ -44,7 +47,29 @@ AlignmentOption = Annotated[
     AlignmentKind | None,
     typer.Option("--alignment", help="rest: by averages; inertial: while the launcher sways. Else as recorded."),
 ]
+OptionOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE", help="Option of the protocol, e.g. accel_range_g=30; repeatable."
+    ),
+]
+BitRateOption = Annotated[int, typer.Option("--bit-rate", metavar="B", min=300, help="Of the line [bit/s].")]
 ProtocolOption = Annotated[str, typer.Option("--protocol", metavar="P", help="Frame layout, by name.")]
+
+
+def protocol_of(name: str, options: list[str] | None) -> Protocol:
+    """Return a protocol set up with its options, given as ``name=value``."""
+    from drivers.protocols import get_protocol
+
+    pairs: dict[str, object] = {}
+    for option in options or []:
+        key, sign, value = option.partition("=")
+        if not (key and sign and value):
+            raise RefusedInput("--option", f"{option!r} is not NAME=VALUE.", "Write for example accel_range_g=30.")
+        if key in pairs:
+            raise RefusedInput("--option", f"{key} is given twice.", "Give it once.")
+        pairs[key] = value
+    return get_protocol(name, **pairs)
 
 
 def check_targets(*paths: Path | None) -> None:
