@@ -118,7 +118,10 @@ def compensate(
         noise=found.noise,
         reference=facts.reference_facts(physical, _noise_source(model), kind),
         site=facts.site_facts(physical),
-        alignment=facts.alignment_facts(found.alignment),
+        alignment={
+            **facts.alignment_facts(material.alignment),
+            "refined": facts.alignment_facts(found.alignment),
+        },
         verification=facts.verification_facts(verification),
         conditions=facts.condition_facts(physical, windows, checked),
         block=facts.block_facts(physical),

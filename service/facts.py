@@ -35,7 +35,7 @@ def site_facts(physical: Physical) -> dict[str, float]:
 
 
 def alignment_facts(alignment: Alignment) -> dict[str, Any]:
-    """Return the attitude of the last stage and where it is from."""
+    """Return an attitude and where it is from."""
     roll, pitch, heading = (math.degrees(angle) for angle in roll_pitch_heading(alignment.C_tb))
     return {
         "level_source": alignment.level_source,

@@ -47,7 +47,7 @@ class Findings:
     ``stages``: terms after each, in total; the last are the result's. ``order``, ``covariance`` (n, n), ``unseen``
     (n,): errors by name, the six terms first; the unseen are bounded by nothing but belief. ``unobservable`` says so
     in words. ``at_rest`` is for verification on fresh data, ``errors`` for the error budget, ``noise`` what the
-    covariance was made with. ``alignment`` is the attitude of the last stage.
+    covariance was made with. ``alignment`` is the attitude of the last stage, as the method knows it by then.
     """
 
     stages: Sequence[Terms]

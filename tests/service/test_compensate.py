@@ -265,7 +265,7 @@ def test_a_slewed_launcher_separates_level_and_azimuth(model: BlockModel, tmp_pa
     assert found.order[-1] == "turn_1"
     assert max(distances(scenario, model, found)) < 3.5
     assert all(sigma is not None and sigma < 0.01 * MG_MPS2 for sigma in found.sigma.f_mps2)  # 0.86 mg by the level
-    assert abs(found.alignment["heading_deg"]) == pytest.approx(180.0, abs=0.05)
+    assert abs(found.alignment["refined"]["heading_deg"]) == pytest.approx(180.0, abs=0.05)
     assert not any("accelerometer bias and pitch" in one.text for one in found.unobservable)
     assert found.uncertainty is not None
     assert found.uncertainty.order == found.order
@@ -300,8 +300,9 @@ def left_dph(result: Result, recording: Recording, start_s: float, end_s: float)
     physical = Physical.of(recording)
     span = physical.span(start_s, end_s)
     rate = span.true(physical.coefficients)[1].sum(axis=0) / span.duration_s
-    azimuth = math.radians(result.alignment["azimuth_deg"])
-    earth = np.array(result.alignment["C_tb"]).T @ physical.site.earth_rate_radps(azimuth)
+    refined = result.alignment["refined"]
+    azimuth = math.radians(refined["azimuth_deg"])
+    earth = np.array(refined["C_tb"]).T @ physical.site.earth_rate_radps(azimuth)
     return np.asarray((rate + result.terms["final"].g_radps - earth) / DEG_H_RADPS)
 
 
