@@ -206,6 +206,8 @@ class Searcher:
         for _ in range(_ZOOMS[name]):
             for sign in (-1.0, 1.0):
                 at = middle * math.exp(sign * width) if relative else middle + sign * width
+                if name == "time_constant" and at > self.library.longest_s:
+                    continue
                 trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, hypothesis.places)
                 gain = self._gain(trial, look)
                 if trial is not None and gain > value:

@@ -31,7 +31,7 @@ Slot = tuple[int, int]
 """A scene and a channel, both counted from 0."""
 
 STEP_TRIALS = 12
-MOST_TURNS = 8
+MOST_TURNS = 16
 """Turns whose own errors are looked for; those of later ones are left to the named effects."""
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
@@ -214,8 +214,7 @@ class Library:
                 inner = np.linspace(start, end, STEP_TRIALS + 2)[1:-1]
                 return [{"time": float(t)} for t in inner]
             case "turn_on_transient":
-                span = float(scene.data.edges_s[-1] - scene.data.edges_s[0])
-                return [{"time_constant": t} for t in TRANSIENT_S if t < 3.0 * span]
+                return [{"time_constant": t} for t in TRANSIENT_S if t < self.longest_s]
             case "thermal_lag":
                 return [{"time_constant": t} for t in LAG_S] if self._warms() else []
             case "bias_temperature" | "scale_temperature":
@@ -235,6 +234,11 @@ class Library:
                 return []  # found from the spectrum
             case _:
                 return [{}]
+
+    @property
+    def longest_s(self) -> float:
+        """Longest time constant that these recordings can tell from a constant."""
+        return 2.0 * max(float(scene.data.edges_s[-1] - scene.data.edges_s[0]) for scene in self.scenes)
 
     def _warms(self) -> bool:
         ranges = [float(np.ptp(s.seen.temperature_c[:, 0])) for s in self.scenes if s.warm]

@@ -18,7 +18,7 @@ from simulators.discrepancy.noise_names import OtherNoise
 
 Array = NDArray[np.float64]
 
-BURSTS = 7.0
+BURSTS = 12.0
 """Standard deviations by which the noise's power may vary from block to block."""
 _BLOCK_S = 1.0
 _HARMONIC = 0.01
@@ -59,7 +59,7 @@ def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherN
             if small is not large and both and small.gain < MISFIT_SHARE * large.gain and small not in withdrawn:
                 withdrawn.append(small)
                 misfits.append({**_described(small, search), "of": large.hypothesis.effect})
-    lines = _harmonics(named)
+    lines = _harmonics(search, named)
     if lines:
         withdrawn += [a for a in lines if a not in withdrawn]
         channel = lines[0].hypothesis.channel
@@ -94,15 +94,19 @@ def _described(adopted: Adopted, search: Search) -> dict[str, Any]:
     }
 
 
-def _harmonics(named: Sequence[Adopted]) -> list[Adopted]:
-    """Return the lines of one channel where their frequencies stand in ratios of small whole numbers."""
+def _harmonics(search: Search, named: Sequence[Adopted]) -> list[Adopted]:
+    """Return the lines of one channel that are overtones of its lowest, as far as the record can tell; or none."""
+    time_s = search.evidence.library.scenes[0].time_s
+    resolution_hz = 0.4 / float(time_s[-1] - time_s[0])
     for channel in CHANNELS:
         lines = [a for a in named if a.hypothesis.effect == "sinusoid" and a.hypothesis.channel == channel]
         if len(lines) < 2:
             continue
-        lowest = min(a.hypothesis.shape["frequency"] for a in lines)
-        ratios = [a.hypothesis.shape["frequency"] / lowest for a in lines]
-        if all(abs(r * k - round(r * k)) < _HARMONIC * r for k in (1,) for r in ratios) or len(lines) > 2:
+        frequencies = [a.hypothesis.shape["frequency"] for a in lines]
+        lowest = min(frequencies)
+        off = [abs(f - lowest * round(f / lowest)) for f in frequencies]
+        near = [o < resolution_hz * f / lowest + _HARMONIC * lowest for o, f in zip(off, frequencies, strict=True)]
+        if all(near) or len(lines) > 2:
             return lines
     return []
 

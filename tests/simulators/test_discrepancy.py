@@ -29,7 +29,7 @@ def warm_up(true: Truth, readings: np.ndarray) -> None:
 
 
 def scale(true: Truth, readings: np.ndarray) -> None:
-    readings[:, 5] += 3e-5 * true["gyro"][:, 2]
+    readings[:, 5] += 6e-5 * true["gyro"][:, 2]
 
 
 def lean(true: Truth, readings: np.ndarray) -> None:
@@ -37,7 +37,7 @@ def lean(true: Truth, readings: np.ndarray) -> None:
 
 
 def unbalance(true: Truth, readings: np.ndarray) -> None:
-    readings[:, 4] += 3e-7 * true["accel"][:, 0]
+    readings[:, 4] += 6e-7 * true["accel"][:, 0]
 
 
 def hum(true: Truth, readings: np.ndarray) -> None:
@@ -60,9 +60,9 @@ CASES: list[tuple[Change, str, str, dict[str, float]]] = [
     (bias, "bias_shift", "gyro_x", {"shift": 1.5 * DEG_PER_H}),
     (step, "bias_step", "accel_y", {"step": 4e-4, "time": 131.0}),
     (warm_up, "turn_on_transient", "gyro_y", {"amplitude": 8.0 * DEG_PER_H, "time_constant": 30.0}),
-    (scale, "scale_factor", "gyro_z", {"error": 3e-5}),
+    (scale, "scale_factor", "gyro_z", {"error": 6e-5}),
     (lean, "misalignment", "accel_x<-accel_y", {"angle": 2e-5}),
-    (unbalance, "g_sensitivity", "gyro_y<-accel_x", {"coefficient": 3e-7}),
+    (unbalance, "g_sensitivity", "gyro_y<-accel_x", {"coefficient": 6e-7}),
     (hum, "sinusoid", "accel_z", {"frequency": 1.37}),
     (flipped, "sign_flip", "gyro_y", {}),
     (swapped, "axis_swap", "accel_x<-accel_y", {}),
