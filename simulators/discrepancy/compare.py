@@ -25,7 +25,7 @@ from simulators.scenarios import Scenario, ScenarioMeta, believed_setup
 
 Array = NDArray[np.float64]
 
-MOST_SAMPLES = 60_000
+MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
