@@ -58,9 +58,11 @@ class Continuity:
     def _plain(self, samples: SampleArray) -> bool:
         """Whether every sample is the next one after its forerunner."""
         assert self._last is not None
-        sequence, time_s, _ = self._last
-        steps = np.diff(samples["sequence"], prepend=np.uint32(sequence))
-        return bool(np.all(steps == 1) and np.all(np.diff(samples["time"], prepend=time_s) > 0))
+        last_sequence, last_time_s, _ = self._last
+        sequence, time_s = samples["sequence"], samples["time"]
+        if sequence[0] != np.uint32((last_sequence + 1) % 2**32) or time_s[0] <= last_time_s:
+            return False
+        return bool(np.all(sequence[1:] - sequence[:-1] == 1) and np.all(time_s[1:] > time_s[:-1]))
 
     def _judge(
         self, samples: SampleArray, host_time_s: NDArray[np.float64], reopened: frozenset[int], marks: Marks

@@ -94,16 +94,25 @@ class Splitter:
         ends : (n,) where each chunk ends in ``data``.
         times_s : (n,) when the last byte of each came [simulated s].
         """
-        layout = self._protocol.layout()
-        if layout is None or not len(ends):
+        self.prepare()
+        if self._scanner is None or not len(ends):
             starts = [0, *ends.tolist()]
             pieces = zip(starts, ends.tolist(), times_s.tolist(), strict=False)
             return [frame for start, end, time_s in pieces for frame in self.feed(data[start:end].tobytes(), time_s)]
-        if self._scanner is None:
-            from drivers.scan import Scanner  # a live line needs no compiled code, nor waits for it
+        return self._scan_stretch(self._scanner, data, ends, times_s)
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether compiled code is ready for this protocol."""
+        return self._scanner is not None
+
+    def prepare(self) -> None:
+        """Make compiled code ready, where the protocol's frames can be told by a table."""
+        layout = self._protocol.layout()
+        if self._scanner is None and layout is not None:
+            from drivers.scan import Scanner  # not everyone who splits needs compiled code, or waits for it
 
             self._scanner = Scanner(layout)
-        return self._scan_stretch(self._scanner, data, ends, times_s)
 
     def _scan_stretch(
         self, scanner: Scanner, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]

@@ -123,6 +123,10 @@ class SerialLink:
                 f"{url}: {error}. Give a device path or a pyserial URL such as socket://host:port."
             ) from None
 
+    def prepare(self) -> None:
+        """Make compiled code ready, to keep up with fast lines; takes seconds where it never was compiled."""
+        self._decoder.prepare()
+
     def start(self) -> None:
         """Begin to open and read; starting twice does no harm."""
         if self._thread is None:
@@ -184,11 +188,7 @@ class SerialLink:
             while True:
                 time.sleep(max(0.0, min(self._next_batch, deadline) - time.monotonic()))
                 remaining = deadline - time.monotonic()
-                for host_time_s, data in self._take_queued(remaining):
-                    if data is None:
-                        self._decoder.opened(host_time_s)
-                    else:
-                        self._decoder.feed(data, host_time_s)
+                self._feed(self._take_queued(remaining))
                 self._next_batch = time.monotonic() + BATCH_S
                 batch = self._decoder.take(self.timebase.now_s())
                 if len(batch.samples):
@@ -201,6 +201,18 @@ class SerialLink:
             for listener in self.on_message:
                 listener(received)
         return batch or None
+
+    def _feed(self, taken: list[tuple[float, bytes | None]]) -> None:
+        """Hand on what was queued: runs of chunks, and between them that the line was opened."""
+        chunks: list[tuple[float, bytes]] = []
+        for host_time_s, data in taken:
+            if data is not None:
+                chunks.append((host_time_s, data))
+                continue
+            self._decoder.feed_chunks(chunks)
+            self._decoder.opened(host_time_s)
+            chunks = []
+        self._decoder.feed_chunks(chunks)
 
     def send(self, data: bytes) -> None:
         """Send bytes to the block.

@@ -52,7 +52,9 @@ class RateCheck:
         if not len(samples):
             return
         stated_s = samples["time"] if self._stated_rate_hz is None else samples["sequence"] / self._stated_rate_hz
-        back = np.flatnonzero(np.diff(stated_s, prepend=self._last_s) < 0).tolist()
+        back = (np.flatnonzero(stated_s[1:] < stated_s[:-1]) + 1).tolist()
+        if stated_s[0] < self._last_s:
+            back.insert(0, 0)
         for low, high in zip([0, *back], [*back, len(stated_s)], strict=True):
             if low in back:
                 self._begin()

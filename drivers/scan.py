@@ -94,6 +94,10 @@ class Scanner:
         self._checksum = int(layout.checksum)
         self._tables = _tables(layout.checksum)
 
+        one = np.zeros(1)
+        chunks = Chunks(np.ones(1, np.int64), one, one, 0)
+        self.scan(np.zeros(1, np.uint8), chunks, Line(0.0, 0.0, 1), ScanState(True, -1, 0.0, np.inf))  # compiles
+
     def scan(self, data: Bytes, chunks: Chunks, line: Line, state: ScanState) -> tuple[Places, Places, Times]:
         """Return start, end and arrival time of every frame in ``data``; ``state`` is brought up to date."""
         room = len(data) // self._shortest + 1

@@ -18,6 +18,8 @@ from drivers.rate_check import RateCheck
 from drivers.samples import SampleArray, Status
 
 NO_CONDITION = Status(0)
+STRETCH_BYTES = 2048
+"""Fewer bytes than this are split sooner by plain code than compiled code is set on them."""
 
 
 @dataclass(slots=True)
@@ -79,6 +81,26 @@ class StreamDecoder:
         """Take the next bytes, whose last one came at ``host_time_s`` [simulated s]."""
         self._begun = True
         self._pieces.append(self._splitter.feed(data, host_time_s))
+
+    def feed_chunks(self, chunks: Sequence[tuple[float, bytes]]) -> None:
+        """Take the next chunks, each with the time that its last byte came [simulated s], as one by one.
+
+        Many bytes at once, as behind a stall of the host, are split by compiled code where it is ready.
+        """
+        size = sum(len(data) for _, data in chunks)
+        if size < STRETCH_BYTES or not self._splitter.is_compiled:
+            for host_time_s, data in chunks:
+                self.feed(data, host_time_s)
+            return
+        joined = np.frombuffer(b"".join([data for _, data in chunks]), np.uint8)
+        ends = np.cumsum([len(data) for _, data in chunks])
+        self.feed_stretch(joined, ends, np.array([host_time_s for host_time_s, _ in chunks]))
+
+    def prepare(self) -> None:
+        """Make compiled code ready for :meth:`feed_chunks`; where it never was compiled this takes seconds."""
+        self._splitter.prepare()
+        nothing = np.zeros(0, np.int64)
+        self._decoder.decode(FrameRun(np.zeros(0, np.uint8), nothing, nothing, np.zeros(0)))
 
     def feed_stretch(self, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]) -> None:
         """Take many chunks at once, which end at ``ends`` in ``data`` and came at ``times_s`` [simulated s]."""

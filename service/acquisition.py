@@ -234,6 +234,7 @@ class Acquisition:
         """Open the line and begin."""
         self.beat_s = time.monotonic()
         if self._line is not None:
+            self._line.link.prepare()
             self._line.link.start()
         self._thread.start()
 

@@ -16,6 +16,7 @@ from drivers.crc import mpeg2_tables, zlib_tables
 from drivers.framing import Splitter
 from drivers.protocols import get_protocol
 from drivers.protocols.base import Frame, Protocol
+from drivers.stream import StreamDecoder
 
 PROTOCOLS = {
     "native": get_protocol("native"),
@@ -112,6 +113,27 @@ def test_live_chunks_and_stretches_may_follow_each_other() -> None:
     expected = [(stream[:100], 1.0), (stream[100:550], 1.1), (stream[550:1000], 1.2), (stream[1000:], 1.3)]
     assert frames == [frame for data, time_s in expected for frame in plain.feed(data, time_s)]
     assert len(frames) == 30
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_stream_decodes_alike_by_chunk_and_by_stretch(name: str, seed: int) -> None:
+    """What a live line does when it has fallen behind: the same batches, samples and marks, of damaged streams too."""
+    rng, protocol = random.Random(seed), PROTOCOLS[name]
+    stream = damaged(stream_of(protocol, 300), rng, 6)
+    chunks = [(time_s, data) for data, time_s in chunks_of(stream, rng, 300)]
+    behind, plain = StreamDecoder(protocol), StreamDecoder(protocol)
+    behind.prepare()
+    for start in range(0, len(chunks), 100):
+        behind.feed_chunks(chunks[start : start + 100])
+        for time_s, data in chunks[start : start + 100]:
+            plain.feed(data, time_s)
+        batches = behind.take(), plain.take()
+        assert batches[0].samples.tobytes() == batches[1].samples.tobytes()
+        assert batches[0].host_time_s.tolist() == batches[1].host_time_s.tolist()
+        assert (batches[0].gaps, batches[0].restarts) == (batches[1].gaps, batches[1].restarts)
+    assert behind.counters == plain.counters
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
