@@ -56,8 +56,19 @@ def parameters_of(
                 value += moved if abs(moved) < 2.0 * spread else 0.0
         if name == "frequency":
             spread = _frequency_sigma(evidence, values)
+        if name == "time":
+            spread = max(spread or 0.0, _change_point_sigma(evidence, hypothesis, fit))
         values[name] = ParameterValue(value=float(value), sigma=spread, unit=unit_of(parameter, hypothesis.channel))
     return values
+
+
+def _change_point_sigma(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> float:
+    """Return the 1σ of a step's time [s], about 3·S/step² with S the noise density (Hinkley 1970: it has no slope)."""
+    slot = next(iter(evidence.touched(hypothesis.columns)))
+    power = fit.noise[slot].power
+    density = float(np.median(power[len(power) // 3 :])) * evidence.basis[slot].interval_s
+    step = float(fit.amplitude[fit.ids.index(hypothesis.columns[0])])
+    return 3.0 * density / step**2 if step != 0.0 else 0.0
 
 
 def _frequency_sigma(evidence: Evidence, amplitudes: dict[str, ParameterValue]) -> float | None:
