@@ -49,9 +49,7 @@ AlignmentOption = Annotated[
 ]
 OptionOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--option", metavar="NAME=VALUE", help="Option of the protocol, e.g. accel_range_g=30; repeatable."
-    ),
+    typer.Option("--option", metavar="NAME=VALUE", help="Option of the protocol, e.g. accel_range_g=30; repeatable."),
 ]
 BitRateOption = Annotated[int, typer.Option("--bit-rate", metavar="B", min=300, help="Of the line [bit/s].")]
 ProtocolOption = Annotated[str, typer.Option("--protocol", metavar="P", help="Frame layout, by name.")]
