@@ -1,0 +1,130 @@
+"""How large an effect is, in σ: the square root of the likelihood ratio of somebody who knows it, true noise and all.
+
+Beyond the nuisance parameters, whose priors are part of the covariance: d² = δᵀ(C + JPJᵀ)⁻¹δ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.fft import dct
+from scipy.linalg import solve_triangular
+
+from benchmarks._blind.motion import STANDARD_GRAVITY_MPS2, Shake
+from benchmarks._blind.noise import Spectrum
+from benchmarks._blind.world import World
+
+TIMING_SIGMA_S = 1e-3
+"""Schedule against block clock, and each edge of a turn, always: what such an error hides does not count."""
+_BIN_S = 0.5
+
+
+class Metric:
+    """Whitens readings (n, 6) into one flat vector, and removes what nuisance parameters could explain."""
+
+    def __init__(self, world: World, spectra: list[Spectrum], extra: np.ndarray | None = None) -> None:
+        self.world, self.spectra = world, spectra
+        self.per_bin = round(_BIN_S / world.dt) if world.setup.shakes else 1
+        count = world.count // self.per_bin
+        step = world.dt * self.per_bin
+        frequency = np.arange(count) / (2 * count * step)
+        frequency[0] = 0.276 / (count * step)  # where a random walk's density gives the variance of its mean
+        self.density = np.array([s.density(frequency, world.dt if self.per_bin == 1 else step) for s in spectra])
+        if extra is not None:
+            self.density += extra(frequency)
+        self.density = self.density / step
+        self.factors = [self._factor(channel, count) for channel in range(6)] if self.per_bin > 1 else None
+        self.nuisance = np.empty((0, 6 * count))
+
+    def _factor(self, channel: int, count: int) -> np.ndarray:
+        """Cholesky factor of one channel's covariance of bin means, vibration included."""
+        basis = dct(np.eye(count), axis=0, norm="ortho")
+        covariance = basis.T @ (self.density[channel][:, None] * basis)
+        for shake in self.world.setup.shakes:
+            share = abs(shake.axis[channel]) if channel < 3 else 0.0
+            if share:
+                covariance += share**2 * _shaken(shake, self.world, count, self.per_bin)
+        return np.linalg.cholesky(covariance)
+
+    def whiten(self, readings: np.ndarray) -> np.ndarray:
+        """Flat vector (6m,), unit white when ``readings`` (n, 6) are noise."""
+        count = self.density.shape[1]
+        if self.factors is None:
+            return (dct(readings, axis=0, norm="ortho").T / np.sqrt(self.density)).ravel()
+        bins = readings[: count * self.per_bin].reshape(count, self.per_bin, 6).mean(axis=1)
+        return np.concatenate([solve_triangular(f, bins[:, i], lower=True) for i, f in enumerate(self.factors)])
+
+    def channel(self, flat: np.ndarray, channel: int) -> np.ndarray:
+        """One channel's part of a flat vector."""
+        return flat.reshape(6, -1)[channel]
+
+    def set_nuisance(self, columns: list[np.ndarray]) -> None:
+        """Take the shifts (n, 6) of one σ of each nuisance parameter."""
+        if columns:
+            self.nuisance = np.array([self.whiten(column) for column in columns])
+
+    def project(self, flat: np.ndarray) -> np.ndarray:
+        """What is left of a whitened vector (or rows of them) when the nuisance has taken its share."""
+        return project(flat, self.nuisance)
+
+    def size(self, shift: np.ndarray) -> float:
+        """d of a shift of the readings (n, 6)."""
+        return float(np.linalg.norm(self.project(self.whiten(shift))))
+
+    def noise_size(self, channel: int, other: Spectrum) -> float:
+        """d of another noise on one channel: twice the Kullback-Leibler divergence of the two, by Whittle."""
+        count, dt = self.world.count, self.world.dt
+        frequency = np.arange(1, count) / (2 * count * dt)
+        ratio = other.density(frequency, dt) / self.spectra[channel].density(frequency, dt)
+        return float(np.sqrt(np.sum(ratio - 1 - np.log(ratio))))
+
+
+def project(flat: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """Return (I + JᵀJ)^(-1/2) applied to whitened rows: lengths after it are those of (C + JPJᵀ)⁻¹."""
+    if not len(J):
+        return flat
+    values, vectors = np.linalg.eigh(J @ J.T)
+    kept = values > 1e-12 * values.max()
+    rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ J
+    shrink = 1 - 1 / np.sqrt(1 + values[kept])
+    return flat - ((flat @ rows.T) * shrink) @ rows
+
+
+def _shaken(shake: Shake, world: World, count: int, per_bin: int) -> np.ndarray:
+    """Covariance of bin means under a vibration: differences of a stationary velocity, under its span."""
+    edges = np.arange(count + 1) * world.dt * per_bin
+    live = np.clip(np.minimum(edges - shake.start_s, shake.end_s - edges) / 0.1, 0, 1)
+    lag = edges - edges[0]
+    omega = 2 * np.pi * np.linspace(*shake.band_hz, 1000)
+    power = (shake.grms * STANDARD_GRAVITY_MPS2) ** 2 / omega**2
+    correlation = (np.cos(np.outer(lag, omega)) @ power) / len(omega)
+    first = np.arange(count + 1)
+    covariance = correlation[np.abs(first[:, None] - first)] * np.outer(live, live)
+    return np.diff(np.diff(covariance, axis=0), axis=1) / (world.dt * per_bin) ** 2
+
+
+def nuisance(world: World, sigma: dict[str, float], rides: bool, priors: list[tuple[int, float]]) -> list[np.ndarray]:
+    """Shifts of one σ: azimuth, level, angle and timing of every turn, timing of all, biases of the model."""
+    setup, base = world.setup, world.inputs
+    others = [replace(setup, azimuth=setup.azimuth + sigma["azimuth"])]
+    for axis in range(2):
+        which = "block_tilt" if rides else "room_tilt"
+        tilt = list(getattr(setup, which))
+        tilt[axis] += sigma["level"]
+        others.append(replace(setup, **{which: tuple(tilt)}))
+    for number, turn in enumerate(setup.turns):
+        if turn.angle_sigma_rad:
+            others.append(setup.with_turn(number, angle_error_rad=turn.angle_error_rad + turn.angle_sigma_rad))
+        others.append(setup.with_turn(number, start_shift_s=turn.start_shift_s + TIMING_SIGMA_S))
+        others.append(setup.with_turn(number, end_shift_s=turn.end_shift_s + TIMING_SIGMA_S))
+    if setup.turns:
+        others.append(replace(setup, offset_s=setup.offset_s + TIMING_SIGMA_S))
+    still = world if not setup.shakes else replace(world, setup=replace(setup, shakes=()))
+    base = still.inputs
+    columns = [still.inputs_of(replace(other, shakes=())) - base for other in others]
+    for channel, one in priors:
+        column = np.zeros_like(base)
+        column[:, channel] = one
+        columns.append(column)
+    return columns

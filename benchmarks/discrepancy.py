@@ -1,0 +1,191 @@
+"""Blind test of the discrepancy workflow: hidden effects, nothing hidden, effects no library has; sealed truth.
+
+Cases come from a process of its own (:mod:`benchmarks._blind`) that writes recordings and truth into two folders; the
+workflow is given a recording and a model. With ``--peers`` PySINDy's STLSQ and stepwise BIC read the same files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from benchmarks import _scoring
+
+CHUNK = 4
+LIMIT_S = 300
+BARS = {
+    "named_or_tied": ("inside the library, d ≥ 10: named or tied", "≥ 0.99"),
+    "wrong_name": ("… with a wrong name", "≤ 0.005"),
+    "named_or_tied_d7": ("inside, d = 7: named or tied", "≥ 0.95"),
+    "several_recall": ("two or three at once: recall", "≥ 0.97"),
+    "several_precision": ("… precision", "≥ 0.98"),
+    "false_alarm": ("nothing hidden: any false name", "≤ 0.01"),
+    "null_called_unknown": ("… called unknown", ""),
+    "unknown_flagged": ("outside the library, d ≥ 30: unknown", "≥ 0.90"),
+    "unknown_flagged_d60": ("… d ≥ 60", "≥ 0.97"),
+    "outside_false_deterministic": ("… d ≥ 30: a false deterministic name", "≤ 0.02"),
+    "heldout_gap_closed": ("held-out gap ≤ 1.1 × floor after adoption", "≥ 0.95"),
+    "mean_tie_size": ("names in an answer", ""),
+}
+
+
+def run_chunk(seed: int, numbers: list[int], work: str, peers: bool) -> list[dict[str, Any]]:
+    """Have cases made, run the workflow on each and return what it reported, by number."""
+    cases, truth = Path(work, "cases"), Path(work, "truth")
+    span = ["--first", str(numbers[0]), "--count", str(len(numbers))]
+    command = [sys.executable, "-m", "benchmarks._blind", "--seed", str(seed), *span]
+    subprocess.run([*command, "--cases", str(cases), "--truth", str(truth)], check=True)
+    return [_run_case(cases / f"{number:05d}", number, peers) for number in numbers]
+
+
+def _run_case(folder: Path, number: int, peers: bool) -> dict[str, Any]:
+    """Run the workflow, and the peers if asked, on one case; an error is an outcome too."""
+    from benchmarks import _peers
+    from drivers.recording import read_recording
+    from inertial.documents import BlockModel, parse_document
+    from simulators.discrepancy.report import discrepancy
+
+    outcome: dict[str, Any] = {"number": number}
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(LIMIT_S)
+    began = time.process_time()
+    try:
+        model = parse_document(BlockModel, (folder / "block.json").read_text(), "block.json")
+        outcome["report"] = discrepancy([read_recording(folder / "recording")], model).document
+    except Exception as error:
+        outcome["error"] = f"{type(error).__name__}: {error}"
+        outcome["traceback"] = traceback.format_exc(limit=-4)
+    finally:
+        signal.alarm(0)
+    outcome["seconds"] = time.process_time() - began
+    if peers:
+        outcome["peers"] = _peers.names(folder)
+    shutil.rmtree(folder)
+    return outcome
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"still at work after {LIMIT_S} s")
+
+
+def run(seed: int, cases: int, peers: bool, workers: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return (truth, outcome) of all cases in order."""
+    chunks = [list(range(first, min(first + CHUNK, cases))) for first in range(0, cases, CHUNK)]
+    outcomes: dict[int, dict[str, Any]] = {}
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"  # both cores are busy with a case each
+    with tempfile.TemporaryDirectory() as work, ProcessPoolExecutor(workers) as pool:
+        jobs = [pool.submit(run_chunk, seed, chunk, work, peers) for chunk in chunks]
+        for job in as_completed(jobs):
+            for outcome in job.result():
+                outcomes[outcome["number"]] = outcome
+            print(f"{len(outcomes)} of {cases}", file=sys.stderr, flush=True)
+        truths = [json.loads(path.read_text()) for path in sorted(Path(work, "truth").glob("*.json"))]
+    return [(truth, outcomes[truth["number"]]) for truth in truths]
+
+
+def summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]], peers: bool) -> dict[str, Any]:
+    """Everything that is counted."""
+    rows = [_scoring.score(truth, outcome) for truth, outcome in pairs]
+    families = sorted({row["family"] for row in rows})
+    found = _scoring.figures(rows)
+    by_family = {family: _scoring.figures([r for r in rows if r["family"] == family]) for family in families}
+    seconds = sorted(row["seconds"] for row in rows)
+    result: dict[str, Any] = {
+        **found,
+        "counts": {
+            **{c: sum(r["category"] == c for r in rows) for c in ("inside", "null", "outside")},
+            "families": {family: sum(r["family"] == family for r in rows) for family in families},
+        },
+        "coverage_95": _scoring.coverage(rows),
+        "seconds_per_case": {"median": seconds[len(seconds) // 2], "largest": seconds[-1]},
+        "by_family": by_family,
+        "by_motion": {
+            m: _scoring.figures([r for r in rows if r["motion"] == m]) for m in sorted({r["motion"] for r in rows})
+        },
+        "by_effect": _scoring.by_effect(rows),
+        "confusion": _scoring.confusion(rows),
+        "rows": rows,
+        "table": _table(found, by_family.get("plain", {})),
+    }
+    if peers:
+        result["peers"] = _peer_summary(pairs)
+    return result
+
+
+def _peer_summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, Any]:
+    """The peers and the workflow by the peers' questions, on the same cases."""
+    from benchmarks._peers import PEERS
+
+    truths = [truth for truth, _ in pairs]
+    found = {name: _scoring.peer_figures(truths, [o["peers"][name] for _, o in pairs]) for name in PEERS}
+    own = [[names for f in o.get("report", {"findings": []})["findings"] for names in _best(f, t)] for t, o in pairs]
+    return {**found, "inertrim": _scoring.peer_figures(truths, own)}
+
+
+def _best(finding: dict[str, Any], truth: dict[str, Any]) -> list[_scoring.Name]:
+    """A tie counts as its true name where it holds it."""
+    names = _scoring.names_of(finding)
+    hidden = {_scoring.normal(e["effect"], e["channel"]) for e in truth["effects"]}
+    return [next((name for name in names if name in hidden), names[0])]
+
+
+def _table(found: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+    def cell(value: float | None) -> str:
+        return "–" if value is None else f"{value:.3f}"
+
+    rows = [[text, cell(found[key]), cell(plain.get(key)), bar] for key, (text, bar) in BARS.items()]
+    return {"header": ["", "all cases", "without the hard families", "wanted"], "rows": rows}
+
+
+def report_text(result: dict[str, Any]) -> str:
+    """What is printed: the table, the families, the effects by size, the peers."""
+    lines = [f"{row[0]:50s}{row[1]:>8s}{row[2]:>8s}  {row[3]}" for row in result["table"]["rows"]]
+    lines += ["", "outcomes by effect and d (named, tied, missed)"]
+    for effect, sizes in result["by_effect"].items():
+        cells = [f"{s}: {c.get('named', 0)},{c.get('tied', 0)},{c.get('missed', 0)}" for s, c in sizes.items()]
+        lines.append(f"  {effect:26s}" + "   ".join(cells))
+    lines += ["", "what was hidden, and what it was called first"]
+    lines += [
+        f"  {truth:26s}" + ", ".join(f"{n} {c}" for n, c in row.items()) for truth, row in result["confusion"].items()
+    ]
+    lines += [
+        "",
+        f"parameters inside their 95 % interval: {result['coverage_95']}",
+        f"{result['seconds_per_case']} s a case",
+    ]
+    if "peers" in result:
+        lines += ["", *[f"  {name:20s}{json.dumps(values)}" for name, values in result["peers"].items()]]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.discrepancy", description=__doc__)
+    parser.add_argument("--cases", type=int, default=60, help="of every five three inside, one null, one outside (60)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--peers", action="store_true", help="also run PySINDy's STLSQ and stepwise BIC")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args()
+    if arguments.cases < 1:
+        parser.error("--cases counts from 1")
+    result = summary(run(arguments.seed, arguments.cases, arguments.peers, arguments.workers), arguments.peers)
+    result = {"seed": arguments.seed, "cases": arguments.cases, **result}
+    print(report_text(result))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
