@@ -260,7 +260,7 @@ def replay(
     bit_rate: float = 921600,
     direction: RecordKind = RecordKind.RECEIVED,
     counters: Counters | None = None,
-    batch_bytes: int = 2**20,
+    batch_bytes: int = 2**21,
 ) -> Iterator[Batch]:
     """Yield the batches of a capture, split and decoded as a live line would have been.
 

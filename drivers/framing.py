@@ -108,8 +108,7 @@ class Splitter:
 
     def prepare(self) -> None:
         """Make compiled code ready, where the protocol's frames can be told by a table."""
-        layout = self._protocol.layout()
-        if self._scanner is None and layout is not None:
+        if self._scanner is None and (layout := self._protocol.layout()) is not None:
             from drivers.scan import Scanner  # not everyone who splits needs compiled code, or waits for it
 
             self._scanner = Scanner(layout)
@@ -122,15 +121,20 @@ class Splitter:
 
         waiting = len(self._buffer)
         whole = np.concatenate([np.frombuffer(self._buffer, np.uint8), data]) if waiting else data
-        filled = np.flatnonzero(np.diff(ends, prepend=0) > 0)  # an empty chunk tells the time and dates no byte
-        before = np.concatenate([[self._read_s], times_s[filled]])[np.cumsum(np.isin(np.arange(len(ends)), filled)) - 1]
-        old = list(self._chunks)
-        chunks = Chunks(
-            np.concatenate([[chunk.end - self._base for chunk in old], ends + waiting]).astype(np.int64),
-            np.concatenate([[chunk.host_time_s for chunk in old], times_s]),
-            np.concatenate([[chunk.earlier_s for chunk in old], before]),
-            len(old),
-        )
+        before = np.empty(len(ends))
+        before[0], before[1:] = self._read_s, times_s[:-1]
+        if ends[0] == 0 or np.any(ends[1:] == ends[:-1]):  # an empty chunk tells the time and dates no byte
+            filled = np.diff(ends, prepend=0) > 0
+            before = np.append(self._read_s, times_s[filled])[np.cumsum(filled) - filled]
+        chunks = Chunks(ends, times_s, before, 0)
+        if waiting:
+            old = np.array(self._chunks, np.float64).reshape(-1, 3)
+            chunks = Chunks(
+                np.concatenate([(old[:, 0] - self._base).astype(np.int64), ends + waiting]),
+                np.concatenate([old[:, 1], times_s]),
+                np.concatenate([old[:, 2], before]),
+                len(old),
+            )
         state = ScanState(
             self._in_step,
             self._waiting - self._base if self._waiting >= 0 else -1,
@@ -141,8 +145,8 @@ class Splitter:
         starts, stops, arrivals = scanner.scan(whole, chunks, line, state)
         self._resume(whole, chunks, state)
         self.counters.bytes_in += len(data)
-        if len(filled):
-            self._read_s = float(times_s[filled[-1]])
+        if len(data):
+            self._read_s = float(times_s[np.searchsorted(ends, len(data))])
         return FrameRun(whole, starts, stops, arrivals)
 
     def _resume(self, whole: NDArray[np.uint8], chunks: Chunks, state: ScanState) -> None:
@@ -156,11 +160,12 @@ class Splitter:
         self._waiting = self._base + state.waiting if state.waiting >= 0 else -1
         self._limit_s, self._deadline_s = state.limit_s, state.deadline_s
         self._buffer = bytearray(whole[state.head :].tobytes())
-        lengths = np.diff(chunks.ends, prepend=0)
-        alive = np.flatnonzero((chunks.ends > state.head) & (lengths > 0))
-        columns = (chunks.ends[alive] + self._base, chunks.times_s[alive], chunks.earlier_s[alive])
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        self._chunks = deque(_Chunk(*row) for row in rows)
+        first = int(np.searchsorted(chunks.ends, state.head, side="right"))
+        self._chunks.clear()
+        rows = (chunks.ends[first:].tolist(), chunks.times_s[first:].tolist(), chunks.earlier_s[first:].tolist())
+        for end, time_s, earlier_s in zip(*rows, strict=True):
+            if not self._chunks or self._base + end > self._chunks[-1].end:  # empty chunks date nothing
+                self._chunks.append(_Chunk(self._base + end, time_s, earlier_s))
         self._base += state.head
 
     def expire(self, now_s: float) -> list[Frame]:

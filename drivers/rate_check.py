@@ -6,6 +6,7 @@ nominal interval are 4 % wrong, and nothing in its frames tells.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -45,13 +46,16 @@ class RateCheck:
         """``Status.WRONG_RATE`` while the discrepancy is beyond the limit."""
         self._drifts: deque[float] = deque(maxlen=self.WINDOWS)
         self._last_s = np.nan
+        self._closed = False  # a window has been since the last judgement
         self._begin()
 
     def follow(self, samples: SampleArray, host_time_s: NDArray[np.float64]) -> None:
         """Judge the next samples, each with the host time [s] of its arrival."""
         if not len(samples):
             return
-        stated_s = samples["time"] if self._stated_rate_hz is None else samples["sequence"] / self._stated_rate_hz
+        stated_s = np.ascontiguousarray(samples["time"])
+        if self._stated_rate_hz is not None:
+            stated_s = samples["sequence"] / self._stated_rate_hz
         back = (np.flatnonzero(stated_s[1:] < stated_s[:-1]) + 1).tolist()
         if stated_s[0] < self._last_s:
             back.insert(0, 0)
@@ -61,6 +65,8 @@ class RateCheck:
             if high > low:
                 self._window(stated_s[low:high], host_time_s[low:high])
         self._last_s = float(stated_s[-1])
+        if self._closed:
+            self._judge()
 
     def _begin(self) -> None:
         """Begin anew: stated time went back."""
@@ -92,17 +98,24 @@ class RateCheck:
             low = max(high, low)
 
     def _close(self) -> None:
-        """End a window and judge."""
+        """End a window."""
         delay_s, at_s = self._best
         if self._previous is not None:
             later_s, stated_s = delay_s - self._previous[0], at_s - self._previous[1]
             if stated_s > 0 and later_s + stated_s > 0:  # bare bytes come at no host time at all
                 self._drifts.append(later_s / stated_s)
         self._previous, self._best = (delay_s, at_s), (np.inf, 0.0)
+        self._closed = True
+
+    def _judge(self) -> None:
+        """Say what the windows closed so far tell."""
+        self._closed = False
         if len(self._drifts) < self.ENOUGH:
             return
-        drifts = np.array(self._drifts)
-        self.discrepancy = float(np.median(drifts))
-        along = drifts * np.sign(self.discrepancy) > LIMIT / 2
-        wrong = abs(self.discrepancy) > LIMIT and float(along.mean()) >= self.AGREEING
+        drifts = sorted(self._drifts)
+        middle = len(drifts) // 2
+        self.discrepancy = (drifts[middle] + drifts[-1 - middle]) / 2
+        sign = math.copysign(1.0, self.discrepancy)
+        along = sum(drift * sign > LIMIT / 2 for drift in drifts) / len(drifts)
+        wrong = abs(self.discrepancy) > LIMIT and along >= self.AGREEING
         self.condition = Status.WRONG_RATE if wrong else Status(0)

@@ -17,7 +17,7 @@ from drivers.protocols.base import Protocol
 from drivers.stream import Batch, StreamDecoder
 
 HEAD_BYTES = 2**16
-PIECE_BYTES = 2**20
+PIECE_BYTES = 2**21
 
 
 class SourceKind(StrEnum):

@@ -117,18 +117,18 @@ class StreamDecoder:
             self._pieces.append(self._splitter.expire(now_s))
         frames = self._take_frames()
         decoded = self._decoder.decode(frames)
-        if isinstance(frames, FrameRun):
-            arrivals = frames.host_time_s
-        else:
-            arrivals = np.array([frame.host_time_s for frame in frames], np.float64)
-        host_time_s = arrivals[decoded.frame_of_sample]
-        self._rate_check.follow(decoded.samples, host_time_s)
+        samples, host_time_s = decoded.samples, arrivals_s(frames)
+        if not np.array_equal(decoded.frame_of_sample, np.arange(len(frames))):  # else copies are spared
+            host_time_s = host_time_s[decoded.frame_of_sample]
+        self._rate_check.follow(samples, host_time_s)
         reopened = self._rows_after_reopening(decoded.frame_of_sample)
-        marks = self._continuity.follow(decoded.samples, host_time_s, reopened)
-        self._count(len(marks.keep), decoded.rejects, marks.duplicates, marks.gaps, marks.restarts)
+        marks = self._continuity.follow(samples, host_time_s, reopened)
+        if marks.duplicates:
+            samples, host_time_s = samples[marks.keep], host_time_s[marks.keep]
+        self._count(len(samples), decoded.rejects, marks.duplicates, marks.gaps, marks.restarts)
         return Batch(
-            decoded.samples[marks.keep],
-            host_time_s[marks.keep],
+            samples,
+            host_time_s,
             decoded.messages,
             marks.gaps,
             marks.restarts,
@@ -158,3 +158,10 @@ class StreamDecoder:
         self.counters.gaps += len(gaps)
         self.counters.frames_lost += sum(gap.frames for gap in gaps)
         self.counters.restarts += len(restarts)
+
+
+def arrivals_s(frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """Return when the last byte of each frame came [simulated s]."""
+    if isinstance(frames, FrameRun):
+        return frames.host_time_s
+    return np.array([frame.host_time_s for frame in frames], np.float64)

@@ -204,13 +204,15 @@ class NativeDecoder(Decoder):
 
     def _decode_run(self, frames: FrameRun) -> Decoded:
         """Decode data frames where they stand."""
-        from drivers.protocols.native_unpack import unpack  # a live line needs no compiled code, nor waits for it
+        from drivers.protocols.native_unpack import rows_of_kind, unpack  # a live line does not wait for compiled code
 
-        is_data = frames.data[frames.starts + 5] == Kind.DATA
-        data = np.flatnonzero(is_data)
+        data = rows_of_kind(frames.data, frames.starts, int(Kind.DATA))
+        if len(data) == len(frames):
+            return Decoded(unpack(frames.data, frames.starts), data)
         decoded = Decoded(unpack(frames.data, frames.starts[data]), data)
-        others = self.decode([frames[index] for index in np.flatnonzero(~is_data).tolist()])
-        decoded.messages, decoded.rejects = others.messages, others.rejects
+        others = np.delete(np.arange(len(frames)), data).tolist()
+        said = self.decode([frames[index] for index in others])
+        decoded.messages, decoded.rejects = said.messages, said.rejects
         return decoded
 
 

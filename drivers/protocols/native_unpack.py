@@ -15,10 +15,10 @@ from drivers.protocols.native import (
     TEMPERATURE_LSB_C,
     TEMPERATURES,
 )
-from drivers.samples import SampleArray, empty_samples
+from drivers.samples import SampleArray, sample_dtype
 
 # Offsets in the frame, docs/native-protocol.md.
-_SEQUENCE, _TIME, _DV, _DTHETA, _TEMPERATURE, _SUPPLY, _STATUS = 8, 12, 20, 32, 44, 50, 52
+_KIND, _SEQUENCE, _TIME, _DV, _DTHETA, _TEMPERATURE, _SUPPLY, _STATUS = 5, 8, 12, 20, 32, 44, 50, 52
 _PER_VOLT = np.float32(1e3)
 _TEMPERATURE_LSB = np.float32(TEMPERATURE_LSB_C)
 _NAN = np.float32(np.nan)
@@ -27,10 +27,25 @@ Column = NDArray[np.float64]
 
 def unpack(data: Bytes, starts: NDArray[np.int64]) -> SampleArray:
     """Return the samples of the data frames that begin at ``starts``, as ``decode_samples`` would."""
-    samples = empty_samples(len(starts), TEMPERATURES)
+    samples = np.empty(len(starts), sample_dtype(TEMPERATURES))  # every field is written
     columns = [samples[name] for name in ("sequence", "time", "dv", "dtheta", "temperature", "supply", "status")]
     _unpack(data, starts, *columns)
     return samples
+
+
+def rows_of_kind(data: Bytes, starts: NDArray[np.int64], kind: int) -> NDArray[np.intp]:
+    """Return which of the frames that begin at ``starts`` are of a kind."""
+    if _count_kind(data, starts, kind) == len(starts):
+        return np.arange(len(starts))
+    return np.flatnonzero(data[starts + _KIND] == kind)
+
+
+@compiled
+def _count_kind(data: Bytes, starts: NDArray[np.int64], kind: int) -> int:
+    count = 0
+    for row in range(len(starts)):
+        count += data[starts[row] + _KIND] == kind
+    return count
 
 
 @compiled_inline
