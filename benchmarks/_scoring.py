@@ -73,6 +73,7 @@ def _inside(truth: dict[str, Any], report: dict[str, Any]) -> Iterable[bool]:
             for key, value in finding["parameters"].items():
                 if key in entry["parameters"] and key not in _NOT_ESTIMATED and value.get("sigma"):
                     yield bool(abs(value["value"] - entry["parameters"][key]) <= 1.96 * value["sigma"])
+            break
 
 
 def share(flags: Iterable[bool]) -> float | None:

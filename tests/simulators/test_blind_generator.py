@@ -1,0 +1,168 @@
+"""The generator of hidden cases is right by itself: its motion, its noise, its sizes, and the truth stays sealed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.fft import dct
+from scipy.stats import chi2
+
+from drivers.recording import read_recording
+from inertial.attitude import body_to_tangent
+from inertial.documents import BlockModel, parse_document
+from inertial.earth import Site
+from simulators.motion import Setup as SimulatorSetup
+from simulators.motion import Trajectory
+from simulators.motion import Turn as SimulatorTurn
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))  # benchmarks are no installed package
+from benchmarks._blind import hidden, motion, oracle, plans, strange  # noqa: E402
+from benchmarks._blind.cases import category_of, make  # noqa: E402
+from benchmarks._blind.noise import Spectrum, quantise  # noqa: E402
+from benchmarks._blind.world import World  # noqa: E402
+from benchmarks._scoring import score  # noqa: E402
+
+TURNS = (
+    (3.004, 7.006, 0.4, (0.0, 0.0, 1.0), "body"),
+    (9.003, 12.005, -0.7, (1.0, 0.0, 0.0), "body"),
+    (13.0055, 17.0, 0.3, (0.6, 0.0, 0.8), "tangent"),
+)
+
+
+def test_its_motion_is_the_simulators_though_written_apart() -> None:
+    stated = motion.Setup(0.6, 9.8, 1.1, 0.02, -0.03, 0.5, tuple(motion.Turn(*turn) for turn in TURNS))
+    other = SimulatorSetup(
+        Site.at(0.6, 0.0, 9.8), 1.1, body_to_tangent(0.02, -0.03, 0.5), tuple(SimulatorTurn(*turn) for turn in TURNS)
+    )
+    edges = np.arange(2001) * 0.01
+    dv, dtheta, _ = motion.increments(stated, edges)
+    expected_dv, expected_dtheta = Trajectory(other).smooth_increments(edges)
+    np.testing.assert_allclose(dv, expected_dv, atol=1e-11)
+    np.testing.assert_allclose(dtheta, expected_dtheta, atol=1e-13)
+
+
+def test_its_noise_has_the_spectrum_by_which_sizes_are_reckoned() -> None:
+    rng, count, dt, runs = np.random.default_rng(1), 4000, 0.01, 40
+    spectrum = Spectrum(white=1e-3, flicker=2e-3, random_walk=3e-4, quantisation=1.5e-4)
+    frequency = np.arange(1, count) / (2 * count * dt)
+    power = np.zeros(count - 1)
+    for _ in range(runs):
+        rate = quantise(spectrum.sample(rng, count, dt) + 0.0123, dt, spectrum.quantisation, rng.random())
+        power += dct(rate, norm="ortho")[1:] ** 2
+    ratio = power / runs / (spectrum.density(frequency, dt) / dt)
+    for low, high in ((8, 60), (60, 500), (500, 3999)):
+        lines = high - low
+        slack = 0.04  # DCT leakage of the random walk, four processes a decade for the flicker
+        band = np.array(chi2.interval(0.999, lines * runs)) / (lines * runs)
+        assert band[0] - slack < ratio[low:high].mean() < band[1] + slack
+
+
+def test_a_size_is_the_oracles_signal_to_noise() -> None:
+    """The oracle's statistic is standard normal where nothing is hidden, reference errors and all."""
+    rng = np.random.default_rng(2)
+    plan = plans.plan(rng, kind="fibre", motion="positions", climate="ramp")
+    setup, _, _ = plans.stated_setup(rng, plan, 60.0)
+    world = plans.world_of(rng, plan, setup, 60.0)
+    spectra = plans.noise_of(rng, "fibre")
+    metric = oracle.Metric(world, spectra)
+    metric.set_nuisance(oracle.nuisance(world, plan.sigma, False, []))
+    effect = hidden.draw(rng, "scale_factor", world)
+    shift = metric.project(metric.whiten(hidden.sensor_shift(effect, world)))
+    shift = metric.project(shift / np.linalg.norm(shift))  # the projection is symmetric: it may stand on either side
+    weights = metric.nuisance
+    runs = 60
+    statistic = []
+    for _ in range(runs):
+        noise = np.column_stack([s.sample(rng, world.count, world.dt) for s in spectra])
+        noise = np.column_stack([quantise(noise[:, i], world.dt, s.quantisation, 0.5) for i, s in enumerate(spectra)])
+        doubts = rng.standard_normal(len(weights)) @ weights
+        statistic.append(shift @ (metric.whiten(noise) + doubts))
+    low, high = chi2.interval(0.999, runs)
+    assert 0.9 * low < np.sum(np.square(statistic)) < 1.1 * high  # a tenth for the DCT's being nearly diagonal only
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_case_is_drawn_from_its_seed_and_can_be_read(number: int, tmp_path: Path) -> None:
+    first = make(77, number)
+    assert first.truth["category"] == category_of(number)
+    cases, truth = tmp_path / "cases", tmp_path / "truth"
+    where = ["--cases", str(cases), "--truth", str(truth)]
+    command = [sys.executable, "-m", "benchmarks._blind", "--seed", "77", "--first", str(number), *where]
+    subprocess.run(command, check=True, cwd=ROOT)
+    folder = cases / f"{number:05d}"
+    assert sorted(path.name for path in folder.iterdir()) == ["block.json", "recording.parquet", "recording.toml"]
+    recording = read_recording(folder / "recording")
+    np.testing.assert_array_equal(recording.samples["dv"], first.readings[:, :3] * first.intervals[:, None])
+    model = parse_document(BlockModel, (folder / "block.json").read_text(), "block.json")
+    hidden_names = {(e["effect"], e["channel"]) for e in first.truth["effects"]}
+    assert not hidden_names & {(e.effect, e.channel) for e in model.effects if e.effect != "bias_shift"}
+    assert json.loads((truth / f"{number:05d}.json").read_text()) == json.loads(json.dumps(first.truth))
+
+
+def test_the_truth_may_not_lie_among_the_recordings(tmp_path: Path) -> None:
+    where = ["--cases", str(tmp_path), "--truth", str(tmp_path / "truth")]
+    ended = subprocess.run(
+        [sys.executable, "-m", "benchmarks._blind", "--seed", "1", *where], capture_output=True, cwd=ROOT
+    )
+    assert ended.returncode == 2
+    assert b"truth" in ended.stderr
+
+
+def test_the_generator_uses_nothing_of_the_simulator() -> None:
+    code = "import sys, benchmarks._blind.__main__; sys.exit(any(m.startswith('simulators') for m in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_every_effect_and_strange_effect_can_be_drawn() -> None:
+    rng = np.random.default_rng(3)
+    plan = plans.plan(rng, kind="dtg", motion="tour", climate="up_down", supply="steps")
+    setup, _, _ = plans.stated_setup(rng, plan, 60.0)
+    world: World = plans.world_of(rng, plan, setup, 60.0)
+    for name in hidden.SENSOR:
+        if name != "vibration_rectification":
+            assert np.any(hidden.sensor_shift(hidden.draw(rng, name, world), world)), name
+    for name in strange.STRANGE:
+        assert np.ptp(strange.shape(name, "gyro_y", world, rng)) > 0, name
+
+
+def test_scoring_tells_named_tied_missed_and_false() -> None:
+    truth = {
+        "number": 0,
+        "category": "inside",
+        "family": "plain",
+        "motion": "rest",
+        "climate": "steady",
+        "kind": "dtg",
+        "free": False,
+        "length_s": 60.0,
+        "effects": [
+            {"effect": "bias_shift", "channel": "gyro_x", "parameters": {"shift": 1.0}, "d": 12.0},
+            {"effect": "axis_swap", "channel": "accel_y<-accel_x", "parameters": {}, "d": 99.0},
+            {"effect": "drift", "channel": "gyro_z", "parameters": {"rate": 1.0}, "d": 10.0},
+        ],
+        "allowed": [["random_walk", "accel_x"]],
+    }
+
+    def finding(
+        effect: str, channel: str, alternatives: list[dict[str, object]], **parameters: object
+    ) -> dict[str, object]:
+        return {"effect": effect, "channel": channel, "alternatives": alternatives, "parameters": parameters}
+
+    near = {"effect": "bias_shift", "channel": "gyro_x", "behind_nats": 2.0}
+    far = {"effect": "drift", "channel": "gyro_z", "behind_nats": 3.5}
+    findings = [
+        finding("g_sensitivity", "gyro_x<-accel_z", [near, far]),
+        finding("axis_swap", "accel_x<-accel_y", []),
+        finding("random_walk", "accel_x", []),
+        finding("sinusoid", "gyro_y", []),
+    ]
+    scored = score(truth, {"report": {"verdict": "named", "findings": findings}, "seconds": 1.0})
+    assert [e["outcome"] for e in scored["effects"]] == ["tied", "named", "missed"]
+    assert scored["false"] == [["sinusoid", "gyro_y"]]
+    assert [e["outcome"] for e in score(truth, {"error": "it broke"})["effects"]] == ["missed"] * 3
