@@ -151,3 +151,21 @@ def big_u32(data: Bytes, start: Place) -> np.uint32:
 def little_u64(data: Bytes, start: Place) -> np.uint64:
     """Return the eight bytes from ``start`` on as a little-endian number."""
     return np.uint64(little_u32(data, start)) | (np.uint64(little_u32(data, start + 4)) << np.uint64(32))
+
+
+@compiled_inline
+def byte_sum(data: Bytes, start: Place, stop: Place) -> np.uint8:
+    """Return the sum of bytes, modulo 256."""
+    total: Place = 0
+    for place in range(start, stop):
+        total += np.int64(data[place])
+    return np.uint8(total & 255)
+
+
+@compiled_inline
+def word_sum(data: Bytes, start: Place, stop: Place) -> np.uint16:
+    """Return the sum of little-endian 16-bit words, modulo 65536."""
+    total: Place = 0
+    for place in range(start, stop):
+        total += np.int64(data[place]) << (8 * ((place - start) & 1))
+    return np.uint16(total & 65535)

@@ -17,14 +17,18 @@ from drivers.crc import (
     Bytes,
     Tables,
     big_u32,
+    byte_sum,
     little_u32,
     little_u64,
     mpeg2_crc32,
     mpeg2_tables,
+    word_sum,
     zlib_crc32,
     zlib_tables,
 )
 from drivers.layout import (
+    CHECKSUM,
+    CRCS,
     LEAD,
     LENGTH,
     PADDING,
@@ -41,7 +45,9 @@ Places = NDArray[np.int64]
 Times = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
-_MPEG2 = int(Checksum.CRC32_MPEG2_BIG)
+_MPEG2, _BYTE_SUM, _WORD_SUM = (
+    int(one) for one in (Checksum.CRC32_MPEG2_BIG, Checksum.BYTE_SUM, Checksum.WORD_SUM_LITTLE)
+)
 _CRC_SIZE = 4
 _NONE = -1
 # Where the counts and the places stand in the array of whole numbers that a call changes, and the times in theirs.
@@ -91,8 +97,8 @@ class Scanner:
         self._arrays = layout_arrays(layout)
         self._shortest = min(head.length for head in layout.heads)
         self._longest_sync = int(self._arrays.sizes[:, SYNC].max())
-        self._checksum = int(layout.checksum)
-        self._tables = _tables(layout.checksum)
+        used = [Checksum(one) for one in self._arrays.sizes[:, CHECKSUM]]
+        self._tables = _tables(next((one for one in used if one in CRCS), Checksum.CRC32_LITTLE))
 
         one = np.zeros(1)
         chunks = Chunks(np.ones(1, np.int64), one, one, 0)
@@ -106,7 +112,7 @@ class Scanner:
         whole[_IN_STEP], whole[_WAITING] = state.in_step, state.waiting
         seconds = np.array([state.limit_s, state.deadline_s])
         arrays = tuple(getattr(self._arrays, one.name) for one in fields(LayoutArrays))
-        sizes = (line.longest, self._longest_sync, self._checksum, chunks.first_new)
+        sizes = (line.longest, self._longest_sync, chunks.first_new)
         _scan(
             data,
             (chunks.ends, chunks.times_s, chunks.earlier_s),
@@ -161,7 +167,6 @@ def _take_run(
     chunks: ChunkArrays,
     heads: HeadArrays,
     kind: int,
-    checksum: int,
     tables: Tables,
     line: tuple[float, float],
     at: tuple[int, int, int, int],
@@ -176,12 +181,8 @@ def _take_run(
     ends, times_s, earlier_s = chunks
     starts, stops, arrivals_s = found
     trailer, pattern, mask = heads[6], heads[2][kind], heads[4][kind]
-    length, padding, trailing, lead = (
-        heads[5][kind, LENGTH],
-        heads[5][kind, PADDING],
-        heads[5][kind, TRAILER],
-        heads[5][kind, LEAD],
-    )
+    sizes, checksum = heads[5], heads[5][kind, CHECKSUM]
+    length, padding, trailing, lead = sizes[kind, LENGTH], sizes[kind, PADDING], sizes[kind, TRAILER], sizes[kind, LEAD]
     byte_s, latency_s = line
     place, feed, of_frame, count = at
     total, stop, chunk_end = len(data), ends[feed], ends[of_frame]
@@ -193,7 +194,11 @@ def _take_run(
         if stop < end:
             break
         body = end - trailing - _CRC_SIZE
-        if checksum == _MPEG2:
+        if checksum == _BYTE_SUM:
+            holds = byte_sum(data, place + lead, body + 3) == data[body + 3]
+        elif checksum == _WORD_SUM:
+            holds = word_sum(data, place + lead, body + 2) == np.uint16(data[body + 2] | np.uint16(data[body + 3]) << 8)
+        elif checksum == _MPEG2:
             holds = mpeg2_crc32(data, place + lead, body, padding, tables) == big_u32(data, body)
         else:
             holds = zlib_crc32(data, place + lead, body, tables) == little_u32(data, body)
@@ -217,7 +222,6 @@ def _behind(
     stop: int,
     chunks: ChunkArrays,
     heads: HeadArrays,
-    checksum: int,
     tables: Tables,
     line: tuple[float, float],
     at: tuple[int, int, int, int],
@@ -232,7 +236,7 @@ def _behind(
         kind = _match(_word(data, start), stop - start, LENGTH, heads[4], heads)
         if kind >= 0:
             here = (start, feed, of_frame, count)
-            if _take_run(data, chunks, heads, kind, checksum, tables, line, here, found)[3] > count:
+            if _take_run(data, chunks, heads, kind, tables, line, here, found)[3] > count:
                 return start
     return _NONE
 
@@ -243,7 +247,7 @@ def _scan(
     chunks: ChunkArrays,
     heads: HeadArrays,
     tables: Tables,
-    sizes: tuple[int, int, int, int],
+    sizes: tuple[int, int, int],
     line: tuple[float, float],
     whole: Places,
     seconds: Times,
@@ -255,7 +259,7 @@ def _scan(
     arrival this looking happens and ``stop`` its end, ``of_frame`` the chunk that holds the last frame's last byte.
     """
     ends, times_s, earlier_s = chunks
-    longest, longest_sync, checksum, feed = sizes
+    longest, longest_sync, feed = sizes
     byte_s, latency_s = line
     last_feed, total = len(ends) - 1, len(data)
     head = place = count = of_frame = whole[_HEAD]  # 0, yet no constant: parts would be compiled for constants too
@@ -305,7 +309,7 @@ def _scan(
                 seconds[_DEADLINE] = times_s[feed] + limit_s
                 whole[_TIMEOUTS] += 1
                 at = (place, feed, of_frame, count)
-                behind = _behind(data, stop, chunks, heads, checksum, tables, line, at, found)
+                behind = _behind(data, stop, chunks, heads, tables, line, at, found)
                 if behind >= 0:
                     place, is_jump = behind, True
                     break
@@ -320,7 +324,7 @@ def _scan(
         before = count
         if kind >= 0:
             at = (place, feed, of_frame, count)
-            place, feed, of_frame, count = _take_run(data, chunks, heads, kind, checksum, tables, line, at, found)
+            place, feed, of_frame, count = _take_run(data, chunks, heads, kind, tables, line, at, found)
         if count > before:
             whole[_RESYNCS] += 1 - whole[_IN_STEP]
             whole[_IN_STEP] = 1

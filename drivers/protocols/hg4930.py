@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.layout import Checksum, FrameLayout, Head
 from drivers.protocols.base import NEED_MORE, NOT_A_FRAME, Buffer, Decoded, Decoder, Frame, Protocol
 from drivers.protocols.checksums import word_sum
 from drivers.protocols.options import choice
@@ -82,6 +83,11 @@ class Hg4930(Protocol):
         """Compare the sum of words."""
         return word_sum(data[start : stop - 2]) == int.from_bytes(data[stop - 2 : stop], "little")
 
+    def layout(self) -> FrameLayout:
+        """Return the two kinds of message as a table."""
+        heads = [Head(bytes([ADDRESS, kind]), layout.itemsize) for kind, layout in LAYOUTS.items()]
+        return FrameLayout(tuple(heads), Checksum.WORD_SUM_LITTLE, 2)
+
     def decoder(self) -> Decoder:
         """Return a decoder; it remembers the counter."""
         return HgDecoder(self.message)
@@ -108,7 +114,8 @@ class Hg4930(Protocol):
         frames["status"][:, 0] = slots % 4 + (bad * _GYRO_VALIDITY).sum(axis=1) + failed * _IMU
         celsius = np.clip(np.rint(np.nan_to_num(samples["temperature"][:, 0])), -128, 127).astype(np.int64)
         frames["status"][:, 1] = _TEMPERATURE_SHOWN | celsius & 0xFF
-        frames["sum"] = frames.view(np.uint8).reshape(len(frames), -1)[:, :-2].copy().view("<u2").sum(axis=1) & 0xFFFF
+        octets = frames.view(np.uint8).reshape(len(frames), frames.dtype.itemsize)
+        frames["sum"] = octets[:, :-2].copy().view("<u2").sum(axis=1) & 0xFFFF
         return frames.tobytes()
 
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.layout import Checksum, FrameLayout, Head
 from drivers.messages import Message, Received, SelfTestResult
 from drivers.protocols.base import NEED_MORE, NOT_A_FRAME, Buffer, Decoded, Decoder, Frame, Protocol
 from drivers.protocols.checksums import crc32_mpeg2
@@ -98,6 +99,14 @@ class Kvh1750(Protocol):
         if data[start + 2] == SELF_TEST[2]:
             return sum(data[start : stop - 1]) & 0xFF == data[stop - 1]
         return crc32_mpeg2(data[start : stop - 4]) == data[stop - 4 : stop]
+
+    def layout(self) -> FrameLayout:
+        """Return the headers as a table."""
+        data = [Head(HEADER + bytes([last]), kind.itemsize) for last, kind in FORMATS.items()]
+        tests = [
+            Head(SELF_TEST + bytes([last]), length, checksum=Checksum.BYTE_SUM) for last, length in SELF_TESTS.items()
+        ]
+        return FrameLayout((*data, *tests), Checksum.CRC32_MPEG2_BIG, len(HEADER) + 1)
 
     def decoder(self) -> Decoder:
         """Return a decoder; it remembers counters and clock."""
