@@ -123,6 +123,6 @@ def _join(data: Bytes, starts: Places, stops: Places, joined: Bytes) -> None:
     """Copy spans of ``data`` one behind the other."""
     place = 0
     for index in range(len(starts)):
-        for source in range(starts[index], stops[index]):
-            joined[place] = data[source]
-            place += 1
+        size = stops[index] - starts[index]
+        joined[place : place + size] = data[starts[index] : stops[index]]
+        place += size
