@@ -97,6 +97,8 @@ def read_replay(path: Path, protocol: Protocol, *, bit_rate: float = 921600, kee
     ------
     CaptureError
         The file cannot be read.
+    RefusedInput
+        It is no capture, and nothing in its bytes is a frame of this protocol.
     """
     found = Replay(str(path), source_kind(path), [Stretch()])
     clock = HostClock()
@@ -105,6 +107,12 @@ def read_replay(path: Path, protocol: Protocol, *, bit_rate: float = 921600, kee
         if found.kind is SourceKind.CAPTURE:
             batch.follow_clock(clock)
     found.stretches = [stretch for stretch in found.stretches if stretch.count]
+    if found.kind is not SourceKind.CAPTURE and not (found.stretches or found.messages):
+        raise RefusedInput(
+            found.name,
+            f"no whole record of a capture, no frame of protocol {protocol.name} in {found.counters.bytes_in} bytes.",
+            "Check the file, --protocol and --option.",
+        )
     found.clock = clock.fit()
     return found
 

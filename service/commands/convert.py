@@ -32,7 +32,7 @@ def convert(
 ) -> None:
     """Convert what a line said to Parquet, CSV or MCAP; the same file always gives the same bytes.
 
-    Where the block restarted, the longest stretch between two restarts is written. Exit code 1: no sample.
+    Where the block restarted, the longest stretch between two restarts is written.
     """
     from service.replay import read_replay, write_replay
 
@@ -41,9 +41,6 @@ def convert(
         raise RefusedInput(str(out), "its name does not say what to write.", f"End it in {', '.join(SUFFIXES)}.")
     found = read_replay(file, protocol_of(protocol, option), bit_rate=bit_rate)
     facts = found.facts()
-    if not facts["samples"]:
-        typer.echo(f"{file}: no frame of protocol {protocol} in {facts['bytes_in']} bytes", err=True)
-        raise typer.Exit(1)
     path = write_replay(found, out)
     typer.echo(f"{path}: {_sum_up(facts, found.longest.count if found.longest else 0)}")
 

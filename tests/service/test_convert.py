@@ -143,9 +143,11 @@ def test_wrong_input_is_refused_in_a_line(run: Run, tmp_path: Path, arguments: l
     assert words in err
 
 
-def test_bytes_of_another_device_are_a_negative_verdict(run: Run, tmp_path: Path) -> None:
+def test_bytes_of_another_device_are_refused(run: Run, tmp_path: Path) -> None:
     (tmp_path / "line.bin").write_bytes(bytes(5000))
-    assert run("convert", tmp_path / "line.bin", "--out", tmp_path / "a.csv")[0] == 1
+    code, _, err = run("convert", tmp_path / "line.bin", "--out", tmp_path / "a.csv")
+    assert code == 2
+    assert "line.bin: no whole record of a capture, no frame of protocol native in 5000 bytes" in err
     assert not (tmp_path / "a.csv").exists()
 
 
