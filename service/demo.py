@@ -79,9 +79,7 @@ class Console:
     def start_run(self, method: str) -> str:
         """Start a run as soon as the service allows it; return the run's id."""
         self._until(lambda: "start" in self.get("/api/v1/status")["allowed"], "the service to allow a run")
-        answer = self.client.post("/api/v1/runs", json={"method": method, "operator": "demo"})
-        if answer.status_code != httpx.codes.ACCEPTED:
-            raise DemoFailed(f"POST /runs answered {answer.status_code}: {answer.text}")
+        answer = self._ask("POST", "/api/v1/runs", {"method": method, "operator": "demo"})
         return str(answer.json()["run_id"])
 
     def follow(self, show: Show, limit_s: float) -> dict[str, Any]:
@@ -102,10 +100,19 @@ class Console:
 
     def fetch(self, path: str) -> bytes:
         """Return what lies at a path."""
-        answer = self.client.get(path)
-        if answer.is_error:
-            raise DemoFailed(f"GET {path} answered {answer.status_code}: {answer.text}")
-        return answer.content
+        return self._ask("GET", path).content
+
+    def _ask(self, method: str, path: str, document: dict[str, str] | None = None) -> httpx.Response:
+        try:
+            answer = self.client.request(method, path, json=document)
+        except httpx.TransportError as error:
+            self.processes.check()
+            raise DemoFailed(
+                f"{method} {path} got no answer ({error}); service.log in the demo's folder says more"
+            ) from None
+        if not answer.is_success:
+            raise DemoFailed(f"{method} {path} answered {answer.status_code}: {answer.text}")
+        return answer
 
     def _answers(self) -> bool:
         try:

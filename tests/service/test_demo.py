@@ -12,10 +12,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from drivers.recording import read_recording
 from inertial.documents import Result, parse_document
+from service.demo import Console, DemoFailed
 from service.processes import Processes, ProcessFailed, free_port
 from service.report import render
 
@@ -85,7 +87,8 @@ def test_demo_leaves_what_it_names(facts: Facts) -> None:
 def test_children_end_with_their_parent(tmp_path: Path) -> None:
     """SIGTERM to the demo's process ends the processes that it started."""
     code = (
-        "import sys, time; from pathlib import Path; from service.processes import Processes\n"
+        "import sys, time; from pathlib import Path; from service.demo import Console, DemoFailed
+from service.processes import Processes\n"
         "with Processes() as children:\n"
         "    children.start('block', ['simulate', '--pty', sys.argv[1]], Path(sys.argv[2]))\n"
         "    print(children.pids()[0], flush=True)\n"
@@ -112,6 +115,20 @@ def test_child_that_ends_by_itself_is_reported_with_its_last_words(tmp_path: Pat
         os.waitid(os.P_PID, children.pids()[0], os.WEXITED | os.WNOWAIT)
         with pytest.raises(ProcessFailed, match=r"the service ended with code 2: inertrim: .*none\.toml"):
             children.check()
+
+
+def test_service_that_does_not_answer_is_said_in_a_line() -> None:
+    with Processes() as none, httpx.Client(base_url=f"http://127.0.0.1:{free_port()}") as client:
+        with pytest.raises(DemoFailed, match=r"GET /api/v1/status got no answer .*service\.log"):
+            Console(client, none).get("/api/v1/status")
+
+
+def test_service_that_died_is_told_from_one_that_does_not_answer(tmp_path: Path) -> None:
+    with Processes() as children, httpx.Client(base_url=f"http://127.0.0.1:{free_port()}") as client:
+        children.start("service", ["serve", "--config", str(tmp_path / "none.toml")], tmp_path / "log")
+        os.waitid(os.P_PID, children.pids()[0], os.WEXITED | os.WNOWAIT)
+        with pytest.raises(ProcessFailed, match="the service ended with code 2"):
+            Console(client, children).get("/api/v1/status")
 
 
 def test_free_port_can_be_listened_on() -> None:
