@@ -87,8 +87,7 @@ def test_demo_leaves_what_it_names(facts: Facts) -> None:
 def test_children_end_with_their_parent(tmp_path: Path) -> None:
     """SIGTERM to the demo's process ends the processes that it started."""
     code = (
-        "import sys, time; from pathlib import Path; from service.demo import Console, DemoFailed
-from service.processes import Processes\n"
+        "import sys, time; from pathlib import Path; from service.processes import Processes\n"
         "with Processes() as children:\n"
         "    children.start('block', ['simulate', '--pty', sys.argv[1]], Path(sys.argv[2]))\n"
         "    print(children.pids()[0], flush=True)\n"
@@ -118,9 +117,13 @@ def test_child_that_ends_by_itself_is_reported_with_its_last_words(tmp_path: Pat
 
 
 def test_service_that_does_not_answer_is_said_in_a_line() -> None:
-    with Processes() as none, httpx.Client(base_url=f"http://127.0.0.1:{free_port()}") as client:
-        with pytest.raises(DemoFailed, match=r"GET /api/v1/status got no answer .*service\.log"):
-            Console(client, none).get("/api/v1/status")
+    url = f"http://127.0.0.1:{free_port()}"
+    with (
+        Processes() as none,
+        httpx.Client(base_url=url) as client,
+        pytest.raises(DemoFailed, match=r"GET /api/v1/status got no answer .*service\.log"),
+    ):
+        Console(client, none).get("/api/v1/status")
 
 
 def test_service_that_died_is_told_from_one_that_does_not_answer(tmp_path: Path) -> None:
