@@ -98,17 +98,24 @@ class SequenceSettings(Section):
 
 
 class StoreSettings(Section):
-    """``[store]``: the database file; the folders of the runs lie beside it."""
+    """``[store]``: the database file, or the database that launchers share; runs' folders lie beside ``path``."""
 
     path: Path = Path("inertrim.db")
 
     @property
+    database_url: str | None = None
+    launcher: str = Field("launcher", min_length=1, max_length=100)
     def runs(self) -> Path:
         """Folder that holds one folder a run."""
         return self.path.with_name(self.path.stem + "-runs")
 
 
 class HttpSettings(Section):
+    @property
+    def database(self) -> Path | str:
+        """What the store is opened by."""
+        return self.path if self.database_url is None else self.database_url
+
     """``[http]``: where the console finds the service."""
 
     host: str = "127.0.0.1"

@@ -79,7 +79,7 @@ class Controller:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
-        self.store = Store(settings.store.path, alone=True)
+        self.store = Store(settings.store.database, settings.store.launcher, alone=True)
         self.hub = EventHub()
         left = self.store.last_transition()
         self.interrupted = self.store.abort_interrupted()

@@ -1,7 +1,8 @@
-"""What outlives the process: runs, transitions, results, audit and idempotency keys in one SQLite file."""
+"""What outlives the process: runs, transitions, results, audit and idempotency keys in one database."""
 
 from __future__ import annotations
 
-from service.store.store import RunRecord, Store, StoreError, TransitionRecord, utc_now
+from service.store.errors import StoreError
+from service.store.store import LAUNCHER, RunRecord, Store, TransitionRecord, utc_now
 
-__all__ = ["RunRecord", "Store", "StoreError", "TransitionRecord", "utc_now"]
+__all__ = ["LAUNCHER", "RunRecord", "Store", "StoreError", "TransitionRecord", "utc_now"]

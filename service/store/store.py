@@ -1,11 +1,7 @@
-"""The store: every write is one durable transaction, so that a killed process loses nothing it has confirmed.
-
-SQLite in WAL mode with ``synchronous=FULL``: a committed transaction survives SIGKILL and power loss.
-"""
+"""The store: every write is one durable transaction, so that a killed process loses nothing it has confirmed."""
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import secrets
@@ -14,23 +10,21 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import alembic.command
-import alembic.config
 from alembic.util.exc import CommandError
-from sqlalchemy import Connection, create_engine, event, func, select, update
+from sqlalchemy import func, select, update
 from sqlalchemy.exc import DatabaseError
 from sqlalchemy.orm import Session, sessionmaker
 
+from service.store import revisions
+from service.store.errors import StoreError
+from service.store.postgres import PostgresDatabase
+from service.store.sqlite import SqliteFile
 from service.store.tables import Audit, IdempotencyKey, ResultRow, Run, Transition
 
-MIGRATIONS = Path(__file__).parent / "migrations"
+LAUNCHER = "launcher"
 OVER = ("FAULT", "ABORTED")
-
-
-class StoreError(RuntimeError):
-    """The store cannot be opened; the text names the file, the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +45,7 @@ class RunRecord:
     """One run as the console reads it."""
 
     id: str
+    launcher: str
     started_utc: str
     ended_utc: str | None
     method: str
@@ -70,38 +65,47 @@ def utc_now() -> str:
 
 
 class Store:
-    """Runs, transitions, results, audit and idempotency keys in one SQLite file.
+    """Runs, transitions, results, audit and idempotency keys in one database.
 
-    Opening makes the file where there is none and brings an older one up to date. ``alone`` refuses a file that another
-    service has open. Safe to call from any thread.
+    Opening makes the tables where there are none and brings older ones up to date. Safe to call from any thread.
+
+    Parameters
+    ----------
+    database
+        Path of an SQLite file, or URL of a PostgreSQL database that many launchers share.
+    launcher
+        Name under which this one writes; what others wrote is read and never changed.
+    alone
+        Refuse a file, or a name in a shared database, that another service has in use.
 
     Raises
     ------
     StoreError
-        The file is not a store, is damaged, was written by a newer program, or is in use.
+        The database is not a store, is damaged, was written by a newer program, is in use, or does not answer.
     """
 
-    def __init__(self, path: Path, *, alone: bool = False) -> None:
-        self.path = path
-        if not path.parent.is_dir():
-            raise StoreError(f"{path}: the folder does not exist. Make it, or set another store path.")
-        self._lock = _lock(path) if alone else None
-        self._engine = create_engine(f"sqlite:///{path}", connect_args={"timeout": 10.0})
-        event.listen(self._engine, "connect", _prepare_connection)
+    def __init__(self, database: Path | str, launcher: str = LAUNCHER, *, alone: bool = False) -> None:
+        self.launcher = launcher
+        place = PostgresDatabase(database) if isinstance(database, str) else SqliteFile(database)
+        self._held = place.hold(launcher) if alone else None
+        self._engine = place.engine()
         self._sessions: sessionmaker[Session] = sessionmaker(self._engine, expire_on_commit=False)
         try:
-            with self._engine.begin() as connection:
-                _migrate(connection)
+            with place.migrating(self._engine) as connection:
+                revisions.upgrade(connection)
         except CommandError:
-            raise StoreError(f"{path}: written by a newer inertrim. Update the program, or set another path.") from None
+            self.close()
+            remedy = "Update the program, or set another store."
+            raise StoreError(f"{place.name}: written by a newer inertrim. {remedy}") from None
         except DatabaseError as error:
-            raise StoreError(f"{path}: not a usable store ({error.orig}). Restore it, or set another path.") from None
+            self.close()
+            raise place.unusable(error) from None
 
     def close(self) -> None:
-        """Close all connections and let go of the lock."""
+        """Close all connections and let go of what was held."""
         self._engine.dispose()
-        if self._lock is not None:
-            self._lock.close()
+        if self._held is not None:
+            self._held.close()
 
     def check(self) -> None:
         """Raise a database error when the store cannot be read."""
@@ -122,7 +126,7 @@ class Store:
         """
         digest = hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
         with self._sessions.begin() as session:
-            known = session.get(IdempotencyKey, key) if key is not None else None
+            known = session.get(IdempotencyKey, (self.launcher, key)) if key is not None else None
             if known is not None:
                 if known.request_sha256 != digest:
                     raise KeyError(key)
@@ -130,6 +134,7 @@ class Store:
             now = utc_now()
             run = Run(
                 id=_new_run_id(now),
+                launcher=self.launcher,
                 started_utc=now,
                 method=method,
                 operator=operator,
@@ -142,13 +147,15 @@ class Store:
             session.add(run)
             session.flush()
             if key is not None:
-                session.add(IdempotencyKey(key=key, utc=now, request_sha256=digest, run_id=run.id))
+                session.add(
+                    IdempotencyKey(launcher=self.launcher, key=key, utc=now, request_sha256=digest, run_id=run.id)
+                )
             return _record(run), True
 
     def run_of_key(self, key: str) -> str | None:
         """Return the run that an idempotency key made."""
         with self._sessions() as session:
-            known = session.get(IdempotencyKey, key)
+            known = session.get(IdempotencyKey, (self.launcher, key))
             return known.run_id if known is not None else None
 
     def run(self, run_id: str) -> RunRecord | None:
@@ -185,21 +192,29 @@ class Store:
         """Record changes of state in one transaction and keep each run's own state with them."""
         with self._sessions.begin() as session:
             for record in records:
-                _add_transition(session, record)
+                _add_transition(session, self.launcher, record)
 
     def last_transition(self) -> dict[str, Any] | None:
-        """Return the newest change of state of all, or None."""
+        """Return this launcher's newest change of state, or None."""
+        mine = select(Transition).where(Transition.launcher == self.launcher)
         with self._sessions() as session:
-            row = session.scalars(select(Transition).order_by(Transition.id.desc()).limit(1)).first()
+            row = session.scalars(mine.order_by(Transition.id.desc()).limit(1)).first()
             return _transition(row) if row is not None else None
 
     def abort_interrupted(self) -> list[str]:
-        """Mark every run that the last process left open as ABORTED (``service_stopped``); return their ids."""
+        """Mark every run that this launcher's last process left open as ABORTED (``service_stopped``).
+
+        Returns
+        -------
+        Their ids.
+        """
+        left = select(Run).where(Run.ended_utc.is_(None), Run.launcher == self.launcher).order_by(Run.id)
         with self._sessions.begin() as session:
-            open_runs = list(session.scalars(select(Run).where(Run.ended_utc.is_(None)).order_by(Run.id)))
+            open_runs = list(session.scalars(left))
             for run in open_runs:
                 _add_transition(
                     session,
+                    self.launcher,
                     TransitionRecord(
                         run.state,
                         "ABORTED",
@@ -232,7 +247,16 @@ class Store:
     def audit(self, who: str, command: str, run_id: str | None, outcome: str, detail: str = "") -> None:
         """Record one command with its outcome."""
         with self._sessions.begin() as session:
-            session.add(Audit(utc=utc_now(), who=who, command=command, run_id=run_id, outcome=outcome, detail=detail))
+            entry = Audit(
+                launcher=self.launcher,
+                utc=utc_now(),
+                who=who,
+                command=command,
+                run_id=run_id,
+                outcome=outcome,
+                detail=detail,
+            )
+            session.add(entry)
 
     def audit_log(self, limit: int = 100) -> list[dict[str, Any]]:
         """Return the newest entries first."""
@@ -241,44 +265,16 @@ class Store:
             return [{column.name: getattr(row, column.name) for column in Audit.__table__.columns} for row in rows]
 
 
-def _lock(path: Path) -> IO[bytes]:
-    """Hold ``PATH.lock`` until it is closed or the process ends: two services would abort each other's runs."""
-    try:
-        file = path.with_name(path.name + ".lock").open("ab")
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be used ({error.strerror}). Set a store path that can be written.") from None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise StoreError(f"{path}: another inertrim uses it. Stop that one, or set another store path.") from None
-    return file
-
-
-def _prepare_connection(connection: Any, _record: Any) -> None:
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=FULL")
-    cursor.execute("PRAGMA foreign_keys=ON")
-    cursor.close()
-
-
-def _migrate(connection: Connection) -> None:
-    config = alembic.config.Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
-    config.attributes["connection"] = connection
-    alembic.command.upgrade(config, "head")
-
-
 def _new_run_id(now: str) -> str:
     """Return an id that sorts by time and is a safe folder name."""
     stamp = now.replace("-", "").replace(":", "").replace(".", "").rstrip("Z")
     return f"{stamp}-{secrets.token_hex(2)}"
 
 
-def _add_transition(session: Session, record: TransitionRecord) -> None:
+def _add_transition(session: Session, launcher: str, record: TransitionRecord) -> None:
     session.add(
         Transition(
+            launcher=launcher,
             run_id=record.run_id,
             utc=record.utc,
             simulated_s=record.simulated_s,
@@ -313,6 +309,7 @@ def _transition(row: Transition) -> dict[str, Any]:
 def _record(run: Run, transitions: list[dict[str, Any]] | None = None) -> RunRecord:
     return RunRecord(
         run.id,
+        run.launcher,
         run.started_utc,
         run.ended_utc,
         run.method,

@@ -14,8 +14,10 @@ class Run(Base):
     """One request to trim the block, from its start to its end."""
 
     __tablename__ = "runs"
+    __table_args__ = (Index("runs_by_launcher", "launcher", "id"),)
 
     id: Mapped[str] = mapped_column(Text, primary_key=True)
+    launcher: Mapped[str] = mapped_column(Text, server_default="launcher")
     started_utc: Mapped[str] = mapped_column(Text)
     ended_utc: Mapped[str | None] = mapped_column(Text)
     method: Mapped[str] = mapped_column(Text)
@@ -32,9 +34,13 @@ class Transition(Base):
     """One change of state, with its reason."""
 
     __tablename__ = "transitions"
-    __table_args__ = (Index("transitions_by_run", "run_id", "id"),)
+    __table_args__ = (
+        Index("transitions_by_run", "run_id", "id"),
+        Index("transitions_by_launcher", "launcher", "id"),
+    )
 
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    launcher: Mapped[str] = mapped_column(Text, server_default="launcher")
     run_id: Mapped[str | None] = mapped_column(ForeignKey("runs.id"))
     utc: Mapped[str] = mapped_column(Text)
     simulated_s: Mapped[float] = mapped_column(Double)
@@ -60,6 +66,7 @@ class Audit(Base):
     __tablename__ = "audit"
 
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    launcher: Mapped[str] = mapped_column(Text, server_default="launcher")
     utc: Mapped[str] = mapped_column(Text)
     who: Mapped[str] = mapped_column(Text)
     command: Mapped[str] = mapped_column(Text)
@@ -69,10 +76,11 @@ class Audit(Base):
 
 
 class IdempotencyKey(Base):
-    """A key that a client gave with a command, so that asking twice starts one run."""
+    """A key that a client gave a launcher with a command, so that asking twice starts one run."""
 
     __tablename__ = "idempotency_keys"
 
+    launcher: Mapped[str] = mapped_column(Text, primary_key=True)
     key: Mapped[str] = mapped_column(Text, primary_key=True)
     utc: Mapped[str] = mapped_column(Text)
     request_sha256: Mapped[str] = mapped_column(Text)
