@@ -24,6 +24,8 @@ PATHS = (
     ("store", "path"),
     ("library", "calibrations"),
     ("library", "models"),
+    ("http", "certificate"),
+    ("http", "key"),
 )
 UNITS = ("deg", "rad", "m", "km", "ft", "s", "ms", "min", "h", "hz", "khz", "mps2", "mg", "c", "f", "k", "dps", "cpmin")
 
@@ -101,32 +103,49 @@ class StoreSettings(Section):
     """``[store]``: the database file, or the database that launchers share; runs' folders lie beside ``path``."""
 
     path: Path = Path("inertrim.db")
-
-    @property
     database_url: str | None = None
     launcher: str = Field("launcher", min_length=1, max_length=100)
+
+    @property
     def runs(self) -> Path:
         """Folder that holds one folder a run."""
         return self.path.with_name(self.path.stem + "-runs")
 
-
-class HttpSettings(Section):
     @property
     def database(self) -> Path | str:
         """What the store is opened by."""
         return self.path if self.database_url is None else self.database_url
 
+
+class HttpSettings(Section):
     """``[http]``: where the console finds the service."""
 
     host: str = "127.0.0.1"
     port: int = Field(8780, ge=0, le=65_535)
+    certificate: Path | None = None
+    key: Path | None = None
+    requests_per_s: float = Field(2_000.0, gt=0)
+    commands_per_s: float = Field(50.0, gt=0)
+    event_clients: int = Field(100, ge=1)
+
+
+class ConditionsSettings(Section):
+    """``[conditions]``: limits of the go / no-go conditions that no other section holds."""
+
+    calibration_age_days: float = Field(365.0, gt=0)
+    accel_term_mg: float = Field(1.0, gt=0)
+    gyro_term_dph: float = Field(10.0, gt=0)
+    clock_jump_s: float = Field(2.0, gt=0)
+    disk_free_mb: float = Field(200.0, ge=0)
+    rate_error: float = Field(1e-3, gt=0)
 
 
 class LibrarySettings(Section):
-    """``[library]``: folders whose calibrations and block models the API lists."""
+    """``[library]``: folders whose calibrations, block models and recordings the API lists."""
 
     calibrations: Path | None = None
     models: Path | None = None
+    recordings: Path | None = None
 
 
 class TimeSettings(Section):
@@ -150,6 +169,7 @@ class Settings(BaseSettings):
     sequence: SequenceSettings = SequenceSettings()
     store: StoreSettings = StoreSettings()
     http: HttpSettings = HttpSettings()
+    conditions: ConditionsSettings = ConditionsSettings()
     library: LibrarySettings = LibrarySettings()
     time: TimeSettings = TimeSettings()
 

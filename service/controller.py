@@ -9,6 +9,7 @@ import threading
 import time
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import structlog
@@ -16,8 +17,12 @@ import structlog
 from drivers.timebase import Timebase
 from inertial.documents import BlockModel, Noise, parse_document
 from service.acquisition import Acquisition, Line
-from service.config import ReferenceSettings, SequenceSettings, Settings
+from service.conditions import Board, CannotAcknowledge
+from service.conditions.gather import Gatherer
+from service.config import BlockSettings, ReferenceSettings, SequenceSettings, Settings
+from service.discrepancy_desk import DiscrepancyDesk
 from service.events import EventHub
+from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
 from service.recovery import recover
 from service.run_folder import RunFolder
@@ -31,7 +36,7 @@ from service.worker import RunPlan, Worker
 log = structlog.get_logger()
 
 SNAPSHOT_EVERY_S = 0.05
-PROGRESS_EVERY_S = 0.5
+PROGRESS_EVERY_S = 0.25
 SAMPLES_EVERY_S = 0.2
 """Real seconds between events of each kind."""
 RECORD_AGAIN_S = 1.0
@@ -81,12 +86,15 @@ class Controller:
         self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
         self.store = Store(settings.store.database, settings.store.launcher, alone=True)
         self.hub = EventHub()
+        beside = settings.store.path
+        self.models = ModelChoice(settings.block.model, beside.with_name(beside.stem + "-models"))
+        self.desk = DiscrepancyDesk(settings, self.store, self.hub, self.models, self.folder, self._busy)
         left = self.store.last_transition()
         self.interrupted = self.store.abort_interrupted()
         at, reason, run_id = _begin_at(left, self.interrupted)
         self._sequencer = Sequencer(
             _patience(settings.sequence, self.timebase),
-            MotionWatch(_noise(settings)),
+            MotionWatch(_noise(self.models.path())),
             at=at,
             reason=reason,
             run_id=run_id,
@@ -99,9 +107,12 @@ class Controller:
         self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
         self._worker = Worker(settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted)
         self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick)
+        self._gatherer = Gatherer(settings, self.line)
+        self._board = Board(utc_now)
         self._progress_s = 0.0
+        self._told: tuple[object, ...] = ()
         self._thinner = Thinner(SAMPLES_EVERY_S * self.timebase.speed)
-        self._published = publish(self._facts())
+        self._look()
 
     # ------------------------------------------------------------------ life
 
@@ -110,9 +121,11 @@ class Controller:
         warm_up()
         self._recorder.start()
         self._worker.start()
+        self._gatherer.start()
         for run_id in self.interrupted:
             self._worker.submit(partial(recover, RunFolder(self.settings.store.runs, run_id), self.settings))
         self._acquisition.start()
+        self.desk.jobs.start_working()
 
     def stop(self) -> None:
         """End a run in hand as ABORTED (``service_stopped``), then everything, losing nothing that was taken in."""
@@ -121,6 +134,7 @@ class Controller:
                 self._sequencer.abort(self.timebase.now_s(), "service_stopped", "the service was stopped")
             self._dispatch()
         self._acquisition.stop()
+        self._gatherer.stop()
         self._worker.stop()
         self._stopping.set()
         self._records.put(None)
@@ -170,7 +184,36 @@ class Controller:
         """Return the folder of a run that the store knows; no other name reaches the file system."""
         return RunFolder(self.settings.store.runs, self.run(run_id).id)
 
+    def conditions(self) -> dict[str, Any]:
+        """Return the go / no-go conditions with the judgement of the status that they belong to."""
+        status = self.status().facts
+        with self._lock:
+            return {"fit": status["fit"], "reasons": status["reasons"], "conditions": self._board.listing()}
+
     # ------------------------------------------------------------------ commands
+
+    def acknowledge_condition(self, name: str, who: str, why: str) -> None:
+        """Take note of a broken condition.
+
+        Raises
+        ------
+        UnknownCondition, CannotAcknowledge
+            The latter recorded in the audit as refused.
+        """
+        with self._commands:
+            try:
+                with self._lock:
+                    self._board.acknowledge(name, who, why)
+                    self._look()
+                    self.hub.publish("condition", self._board.entry(name))
+            except CannotAcknowledge as error:
+                self.store.audit(who, f"acknowledge {name}", self._run_id(), "refused", str(error))
+                raise
+            self.store.audit(who, f"acknowledge {name}", self._run_id(), "accepted", why)
+
+    def _run_id(self) -> str | None:
+        run = self._sequencer.run
+        return run.run_id if run is not None else None
 
     def start_run(self, request: dict[str, Any], who: str, key: str | None = None) -> tuple[str, bool]:
         """Start a run, or return the one that ``key`` started before, and whether it is new.
@@ -216,8 +259,9 @@ class Controller:
 
     def _begin(self, record: RunRecord, request: dict[str, Any]) -> None:
         folder = RunFolder(self.settings.store.runs, record.id)
-        folder.make(self.settings.block)
-        self._worker.plan(record.id, RunPlan(record.method, self._reference(request), folder))
+        block = self._block()
+        folder.make(block)
+        self._worker.plan(record.id, RunPlan(record.method, self._reference(request), folder, block))
         with self._lock:
             self._sequencer.check("start")
             if self.line is not None:
@@ -262,6 +306,14 @@ class Controller:
         if run is None or run.run_id != run_id:
             raise NotAllowed(command, self._sequencer.state, "this run is over", self._allowed())
         self._sequencer.check(command)
+
+    def _busy(self) -> bool:
+        with self._lock:
+            return "abort" in self._sequencer.allowed()
+
+    def _block(self) -> BlockSettings:
+        """Return the block's settings with the model in use."""
+        return self.settings.block.model_copy(update={"model": self.models.path()})
 
     def _reference(self, request: dict[str, Any]) -> ReferenceSettings:
         asked = {key: request[key] for key in ("azimuth_deg", "alignment") if request.get(key) is not None}
@@ -309,7 +361,7 @@ class Controller:
             self._worker.submit(sequencer.orders.popleft())
         now_s = time.monotonic()
         if changed or now_s - self._published.made_s > SNAPSHOT_EVERY_S:
-            self._published = publish(self._facts())
+            self._look()
         while sequencer.transitions:
             record = sequencer.transitions.popleft()
             log.info("state", **asdict(record))
@@ -317,9 +369,20 @@ class Controller:
             self.hub.publish("state", {**asdict(record), "status": self._published.facts})
             if record.target in (Name.READY, Name.FAULT, Name.ABORTED) and self.line is not None:
                 self._worker.submit(self.line.capture_end)
-        if now_s - self._progress_s > PROGRESS_EVERY_S and len(self.hub):
-            self._progress_s = now_s
-            self.hub.publish("progress", self._published.facts)
+        facts = self._published.facts
+        told = (facts["link"], facts["fit"])
+        if len(self.hub) and (told != self._told or now_s - self._progress_s > PROGRESS_EVERY_S):
+            self._progress_s, self._told = now_s, told
+            self.hub.publish("progress", facts)
+
+    def _look(self) -> None:
+        """Judge the conditions and make the status; the caller holds the lock."""
+        sequencer = self._sequencer
+        result = sequencer.run.result if sequencer.run is not None else None
+        facts = self._gatherer.facts(sequencer.line, sequencer.judged(), result)
+        for name in self._board.update(facts, self.timebase.now_s()):
+            self.hub.publish("condition", self._board.entry(name))
+        self._published = publish(self._facts())
 
     def _facts(self) -> dict[str, Any]:
         facts = self._sequencer.snapshot()
@@ -327,6 +390,10 @@ class Controller:
         missing = self._missing()
         if missing and self._sequencer.state is Name.OFFLINE:
             facts["reasons"] = missing
+            return facts
+        against = self._board.against()
+        facts["fit"] = facts["fit"] and not against
+        facts["reasons"] = [*(against if self._sequencer.fit else []), *facts["reasons"], *self._board.noted()]
         return facts
 
     def _allowed(self) -> list[str]:
@@ -357,12 +424,12 @@ def _begin_at(left: dict[str, Any] | None, interrupted: list[str]) -> tuple[Name
     return Name.OFFLINE, "service_started", None
 
 
-def _noise(settings: Settings) -> Noise | None:
+def _noise(model: Path | None) -> Noise | None:
     """Return the block's noise where its model tells it."""
-    if settings.block.model is None:
+    if model is None:
         return None
-    model = parse_document(BlockModel, settings.block.model.read_bytes(), str(settings.block.model))
-    return None if model.noise.free else model.noise
+    noise = parse_document(BlockModel, model.read_bytes(), str(model)).noise
+    return None if noise.free else noise
 
 
 def _patience(settings: SequenceSettings, timebase: Timebase) -> SequenceSettings:

@@ -128,6 +128,18 @@ class LineView:
     age_s: float | None = None
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What the sequencer can say of the block now; None where it cannot. ``valid_for_s``: of the last READY."""
+
+    still: bool | None
+    settled: bool | None
+    settling_evidence: str
+    temperature_c: float | None
+    ready: bool
+    valid_for_s: float | None
+
+
 @dataclass
 class RunContext:
     """What the run in hand has gathered so far; ``swaying``: it settles and aligns although the launcher moves."""
@@ -198,7 +210,7 @@ class Sequencer:
         self._still_since_s = math.nan
         self._window_start_s = math.nan
         self._last_s = math.nan
-        self._last_sequence = 0
+        self._newest_c = math.nan
         self._ready_temperature_c = math.nan
         self._ready_until_s = math.inf
         self._conclusion: tuple[str, str, str] = ("", "", "")
@@ -214,6 +226,11 @@ class Sequencer:
     def run(self) -> RunContext | None:
         """The run in hand, or the last one."""
         return self._run
+
+    @property
+    def line(self) -> LineView:
+        """The line as it was last told."""
+        return self._line
 
     @property
     def fit(self) -> bool:
@@ -249,6 +266,23 @@ class Sequencer:
             "reasons": self._reasons(),
             "allowed": self.allowed(),
         }
+
+    def judged(self) -> Judged:
+        """Return what the go / no-go conditions are judged by."""
+        state, held = self.state, self._held
+        over = state is Name.HOLD and held is Name.READY
+        step = held if state is Name.HOLD and held is not None else state
+        begun = PATH.index(step) if step in PATH else 0
+        settled = (self._reason != "temperature_changed") if begun > PATH.index(Name.SETTLING) else None
+        vouched = state is Name.READY or over
+        return Judged(
+            still=self._still if self._streaming() and not math.isnan(self._last_s) else None,
+            settled=settled,
+            settling_evidence=self._settled.text if self._settled is not None else "",
+            temperature_c=None if math.isnan(self._newest_c) else round(self._newest_c, 2),
+            ready=state is Name.READY,
+            valid_for_s=max(self._ready_until_s - self._now_s, 0.0) if vouched else None,
+        )
 
     # ------------------------------------------------------------------ commands of the operator
 
@@ -352,6 +386,7 @@ class Sequencer:
             self.buffer.append(samples)
         self._watch(samples)
         self._last_s = float(samples["time"][-1])
+        self._newest_c = _temperature_c(samples[-1:])
         if self.state is Name.POWER_UP:
             self._maybe_powered_up(samples)
         elif self.state is Name.SETTLING:
