@@ -27,7 +27,7 @@ def recover(folder: RunFolder, settings: Settings) -> None:
         if samples is None or len(samples) < 2:
             log.warning("recovery", run=folder.path.name, error="the capture holds no samples")
             return
-        folder.write_recording(samples, recording_meta(settings, settings.reference, samples))
+        folder.write_recording(samples, recording_meta(settings.site, settings.block, settings.reference, samples))
         log.info("recovery", run=folder.path.name, samples=len(samples))
     except (CaptureError, RecordingError, OSError, ValueError) as error:
         log.error("recovery", run=folder.path.name, error=str(error))

@@ -14,7 +14,7 @@ from drivers.recording import Recording, RecordingMeta, write_recording
 from drivers.recording_meta import BlockMeta, ReferenceMeta, SiteMeta, TurnMeta, WindowMeta
 from drivers.samples import SampleArray
 from inertial.documents import WindowRecord
-from service.config import BlockSettings, ReferenceSettings, Settings, SiteSettings
+from service.config import BlockSettings, ReferenceSettings, SiteSettings
 from service.sequencer import MeasuredTurn
 
 
@@ -70,16 +70,16 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def recording_meta(
-    settings: Settings,
+    site: SiteSettings | None,
+    block: BlockSettings,
     reference: ReferenceSettings,
     samples: SampleArray,
     windows: Sequence[WindowRecord] = (),
     turns: Sequence[MeasuredTurn] = (),
 ) -> RecordingMeta:
     """Return what is known of a run's samples, in the recording's own terms."""
-    block = settings.block
     return RecordingMeta(
-        site=_site(settings.site),
+        site=_site(site),
         reference=ReferenceMeta(**reference.model_dump(exclude_none=True)),
         block=BlockMeta(
             sample_rate_hz=block.sample_rate_hz or measured_rate_hz(samples),

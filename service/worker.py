@@ -12,11 +12,11 @@ import structlog
 
 from drivers.commands import CommandError
 from drivers.protocols.base import ProtocolError
-from drivers.recording import Recording, RecordingError
+from drivers.recording import Recording, RecordingError, RecordingMeta
 from inertial.documents import DocumentError, StageTerms
 from service.acquisition import Line
 from service.compensate import compensate, partial
-from service.config import ReferenceSettings, Settings
+from service.config import BlockSettings, ReferenceSettings, Settings
 from service.errors import RefusedInput
 from service.report import render
 from service.run_folder import RunFolder, recording_meta, write_whole
@@ -37,6 +37,7 @@ class RunPlan:
     method: str
     reference: ReferenceSettings
     folder: RunFolder
+    block: BlockSettings
 
 
 class Worker:
@@ -136,7 +137,7 @@ class Worker:
 
     def _estimate(self, order: Estimate) -> None:
         plan = self._plans[order.run_id]
-        meta = recording_meta(self._settings, plan.reference, order.samples, order.windows, order.turns)
+        meta = self._meta(plan, order)
         if order.final:
             recording = plan.folder.write_recording(order.samples, meta)
             self._reply(Reply(order.token, "final", compensate(recording, method=plan.method)))
@@ -144,6 +145,10 @@ class Worker:
         path = plan.folder.recording  # where the windows so far would stand; nothing is written for progress
         recording = Recording(samples=order.samples, meta=meta, path=path, meta_path=path.with_suffix(".toml"))
         self._reply(Reply(order.token, "partial", partial(recording, order.windows, method=plan.method)))
+
+    def _meta(self, plan: RunPlan, order: Estimate | Keep) -> RecordingMeta:
+        site = self._settings.site
+        return recording_meta(site, plan.block, plan.reference, order.samples, order.windows, order.turns)
 
     def _conclude(self, order: Conclude) -> None:
         folder = self._plans[order.run_id].folder
@@ -168,7 +173,7 @@ class Worker:
     def _keep(self, order: Keep) -> None:
         if len(order.samples) > 1:
             plan = self._plans[order.run_id]
-            meta = recording_meta(self._settings, plan.reference, order.samples, order.windows, order.turns)
+            meta = self._meta(plan, order)
             plan.folder.write_recording(order.samples, meta)
 
 

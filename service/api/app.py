@@ -9,7 +9,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from service.api import events, library, problems, runs, status
+from service.api import discrepancies, events, library, problems, runs, status
 from service.controller import Controller
 
 MAX_BODY_BYTES = 64 * 1024
@@ -28,7 +28,7 @@ def create_app(controller: Controller) -> FastAPI:
     )
     app.state.controller = controller
     problems.install(app, MAX_BODY_BYTES)
-    for module in (status, runs, events, library):
+    for module in (status, runs, events, library, discrepancies):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(status.probes, prefix="/api/v1")
     app.include_router(status.probes, include_in_schema=False)
