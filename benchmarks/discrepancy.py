@@ -40,13 +40,23 @@ BARS = {
 }
 
 
-def run_chunk(seed: int, numbers: list[int], work: str, peers: bool) -> list[dict[str, Any]]:
-    """Have cases made, run the workflow on each and return what it reported, by number."""
+def run_chunk(seed: int, numbers: list[int], work: str, peers: bool) -> None:
+    """Have cases made, run the workflow on each and write down what it reported, one file a case."""
     cases, truth = Path(work, "cases"), Path(work, "truth")
     span = ["--first", str(numbers[0]), "--count", str(len(numbers))]
     command = [sys.executable, "-m", "benchmarks._blind", "--seed", str(seed), *span]
     subprocess.run([*command, "--cases", str(cases), "--truth", str(truth)], check=True)
-    return [_run_case(cases / f"{number:05d}", number, peers) for number in numbers]
+    for number in numbers:
+        if not _outcome(work, number).exists():
+            outcome = _run_case(cases / f"{number:05d}", number, peers)
+            part = _outcome(work, number).with_suffix(".part")
+            part.write_text(json.dumps(outcome))
+            part.rename(_outcome(work, number))
+        shutil.rmtree(cases / f"{number:05d}")
+
+
+def _outcome(work: str | Path, number: int) -> Path:
+    return Path(work, "outcomes", f"{number:05d}.json")
 
 
 def _run_case(folder: Path, number: int, peers: bool) -> dict[str, Any]:
@@ -71,7 +81,6 @@ def _run_case(folder: Path, number: int, peers: bool) -> dict[str, Any]:
     outcome["seconds"] = time.process_time() - began
     if peers:
         outcome["peers"] = _peers.names(folder)
-    shutil.rmtree(folder)
     return outcome
 
 
@@ -79,20 +88,20 @@ def _too_long(*_: object) -> None:
     raise TimeoutError(f"still at work after {LIMIT_S} s")
 
 
-def run(seed: int, cases: int, peers: bool, workers: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Return (truth, outcome) of all cases in order."""
+def run(seed: int, cases: int, peers: bool, workers: int, work: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return (truth, outcome) of all cases in order; those that ``work`` already holds are not run again."""
     chunks = [list(range(first, min(first + CHUNK, cases))) for first in range(0, cases, CHUNK)]
-    outcomes: dict[int, dict[str, Any]] = {}
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"  # both cores are busy with a case each
-    with tempfile.TemporaryDirectory() as work, ProcessPoolExecutor(workers) as pool:
-        jobs = [pool.submit(run_chunk, seed, chunk, work, peers) for chunk in chunks]
+    _outcome(work, 0).parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(workers) as pool:
+        missing = [chunk for chunk in chunks if not all(_outcome(work, number).exists() for number in chunk)]
+        jobs = [pool.submit(run_chunk, seed, chunk, str(work), peers) for chunk in missing]
         for job in as_completed(jobs):
-            for outcome in job.result():
-                outcomes[outcome["number"]] = outcome
-            print(f"{len(outcomes)} of {cases}", file=sys.stderr, flush=True)
-        truths = [json.loads(path.read_text()) for path in sorted(Path(work, "truth").glob("*.json"))]
-    return [(truth, outcomes[truth["number"]]) for truth in truths]
+            job.result()
+            print(f"{len(list(work.glob('outcomes/*.json')))} of {cases}", file=sys.stderr, flush=True)
+    truths = [json.loads(Path(work, "truth", f"{number:05d}.json").read_text()) for number in range(cases)]
+    return [(truth, json.loads(_outcome(work, truth["number"]).read_text())) for truth in truths]
 
 
 def summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]], peers: bool) -> dict[str, Any]:
@@ -177,10 +186,14 @@ def main() -> None:
     parser.add_argument("--peers", action="store_true", help="also run PySINDy's STLSQ and stepwise BIC")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path, help="write the figures to this file")
+    parser.add_argument("--work", type=Path, help="keep truths and outcomes here, so that a run can be taken up again")
     arguments = parser.parse_args()
     if arguments.cases < 1:
         parser.error("--cases counts from 1")
-    result = summary(run(arguments.seed, arguments.cases, arguments.peers, arguments.workers), arguments.peers)
+    with tempfile.TemporaryDirectory() as passing:
+        work = arguments.work or Path(passing)
+        pairs = run(arguments.seed, arguments.cases, arguments.peers, arguments.workers, work)
+    result = summary(pairs, arguments.peers)
     result = {"seed": arguments.seed, "cases": arguments.cases, **result}
     print(report_text(result))
     if arguments.json:
