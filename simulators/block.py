@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +37,22 @@ _SENT = Stage.READOUT + 0.5  # when a reading is rounded to the steps of its fra
 
 @dataclass(frozen=True)
 class Thermal:
-    """Temperature from ``start_c`` at power-up to ``end_c``, exponentially."""
+    """Temperature from ``start_c`` at power-up to ``end_c``, exponentially; ``heated`` holds what came upon it.
+
+    Each heating is (time since power-up [s], change [°C], time constant [s]).
+    """
 
     start_c: float = 25.0
     end_c: float = 25.0
     time_constant_s: float = 60.0
+    heated: tuple[tuple[float, float, float], ...] = ()
 
     def at(self, time_s: Array) -> Array:
         """Return the temperature [°C] at times since power-up [s]."""
-        return self.end_c + (self.start_c - self.end_c) * np.exp(-time_s / self.time_constant_s)
+        temperature_c = self.end_c + (self.start_c - self.end_c) * np.exp(-time_s / self.time_constant_s)
+        for at_s, change_c, time_constant_s in self.heated:
+            temperature_c -= change_c * np.expm1(-np.maximum(time_s - at_s, 0.0) / time_constant_s)
+        return temperature_c
 
 
 class SimulatedBlock:
@@ -139,6 +146,11 @@ class SimulatedBlock:
         start_s = self._epoch_s + self.time_s
         self._setup = self._setup.with_motion(Turn(start_s, start_s + duration_s, rate_radps, axis))
         self._trajectory = Trajectory(self.true_setup, self._seed)
+
+    def heat(self, change_c: float, time_constant_s: float) -> None:
+        """Warm or cool the block from the next sample on, until it is switched off."""
+        heated = (*self._thermal.heated, (self.time_s, change_c, time_constant_s))
+        self._thermal = replace(self._thermal, heated=heated)
 
     def generate(self, count: int) -> SampleArray:
         """Return the next ``count`` samples, with three temperatures, less those that an effect loses."""

@@ -46,7 +46,7 @@ from inertial.earth import STANDARD_GRAVITY_MPS2
 from simulators.block import SimulatedBlock
 from simulators.errors import ScenarioError
 from simulators.motion import Setup
-from simulators.scenarios import DEG, Move, Scenario, StuckSensor, effect, make_block, vector
+from simulators.scenarios import DEG, Heat, Move, Scenario, StuckSensor, effect, make_block, vector
 
 ANNOUNCE_S = 1.0
 """How often an idle block says who it is."""
@@ -205,6 +205,11 @@ class Device:
         """Turn the block at once."""
         if self._block is not None:
             self._block.move(fault.rate_dps * DEG, vector(fault.axis), fault.duration_s)
+
+    def heat(self, fault: Heat) -> None:
+        """Warm or cool the block at once."""
+        if self._block is not None:
+            self._block.heat(fault.change_c, fault.time_constant_s)
 
     def stick(self, fault: StuckSensor, now_s: float) -> None:
         """Let a sensor's register stand still at once."""

@@ -5,7 +5,8 @@
     [scenario]   duration_s, seed, start_c, end_c, time_constant_s   (of the temperature)
     [[effect]]   effect, channel, parameters = {name = {value = 2.4, unit = "deg/h"}}
                  what has happened to the block and its set-up since the laboratory
-    [[fault]]    kind, at_s (since streaming began), and by kind: duration_s, probability, channel, rate_dps, axis
+    [[fault]]    kind, at_s (since streaming began), and by kind: duration_s, probability, channel, rate_dps, axis,
+                 change_c, time_constant_s
 
 Only numbers stand here, none of them drawn, so that the file says all that is true; :func:`demo_scenario` draws.
 """
@@ -112,7 +113,15 @@ class Move(_FaultMeta):
     axis: Vector3 = [0.0, 0.0, 1.0]
 
 
-Fault = NoisyLine | Unplug | StuckSensor | Restart | Move
+class Heat(_FaultMeta):
+    """The surroundings warm (or cool) the block, exponentially, until it is switched off."""
+
+    kind: Literal["heat"]
+    change_c: float = Field(ge=-60, le=60)
+    time_constant_s: float = Field(60.0, gt=0)
+
+
+Fault = NoisyLine | Unplug | StuckSensor | Restart | Move | Heat
 FaultMeta = Annotated[Fault, Field(discriminator="kind")]
 FAULT: TypeAdapter[Fault] = TypeAdapter(FaultMeta)
 """Reads one fault from plain data, e.g. ``FAULT.validate_python({"kind": "unplug", "duration_s": 3.0})``."""
@@ -232,6 +241,11 @@ def make_block(
         for fault in scenario.fault
         if isinstance(fault, StuckSensor) and fault.at_s is not None and fault.at_s >= epoch_s
     ]
+    heated = tuple(
+        (fault.at_s - epoch_s, fault.change_c, fault.time_constant_s)
+        for fault in scenario.fault
+        if isinstance(fault, Heat) and fault.at_s is not None and fault.at_s >= epoch_s
+    )
     try:
         return SimulatedBlock(
             model,
@@ -239,7 +253,7 @@ def make_block(
             rate_hz=scenario.block.sample_rate_hz,
             seed=about.seed,
             effects=[*scenario.effect, *stuck],
-            thermal=Thermal(about.start_c, about.end_c, about.time_constant_s),
+            thermal=Thermal(about.start_c, about.end_c, about.time_constant_s, heated),
             power_cycle=power_cycle,
             epoch_s=epoch_s,
         )

@@ -24,6 +24,7 @@ from simulators.model_store import load_model
 from simulators.scenarios import (
     FAULT,
     Fault,
+    Heat,
     Move,
     NoisyLine,
     Restart,
@@ -229,6 +230,8 @@ class LineSimulator:
                 self._device.move(fault)
             case StuckSensor() if not planned:
                 self._device.stick(fault, now_s)
+            case Heat() if not planned:
+                self._device.heat(fault)
         self._book("fault", fault, now_s)
 
     def _end(self, fault: NoisyLine | Unplug) -> None:

@@ -133,6 +133,16 @@ def test_temperatures_rise_exponentially_each_sensor_to_its_own_share() -> None:
     assert samples["temperature"][0] == pytest.approx(20.0, abs=0.1)
 
 
+def test_heat_from_outside_adds_to_the_rise_from_its_moment_on() -> None:
+    heated, plain = block(thermal=Thermal(20.0, 50.0, 10.0)), block(thermal=Thermal(20.0, 50.0, 10.0))
+    heated.generate(1000)
+    heated.heat(-8.0, 5.0)
+    after = heated.generate(1000)
+    difference = after["temperature"] - plain.generate(2000)["temperature"][1000:]
+    assert np.abs(difference[0]).max() < 0.02  # its first hundredth of a second; the thermometers' noise is the same
+    assert difference[-1, 0] == pytest.approx(-8.0 * (1 - math.exp(-2.0)), abs=1e-4)
+
+
 def test_a_move_takes_effect_with_the_next_sample_and_then_rests_elsewhere() -> None:
     simulated = block(BlockModel(), Setup(SITE, 0.0, np.eye(3)))
     simulated.generate(100)
