@@ -34,10 +34,10 @@ def play(file: Path, protocol: Protocol, path: Path, *, speed: float = 1.0, bit_
     try:
         while not (line.listening() and line.settled()):
             time.sleep(LOOK_S)
-        began, first_s = time.monotonic(), None
+        zero = None
         for due_s, data in _timed(file, protocol, bit_rate):
-            first_s = due_s if first_s is None else first_s
-            time.sleep(max(0.0, began + (due_s - first_s) / speed - time.monotonic()))
+            zero = time.monotonic() - due_s / speed if zero is None else zero
+            time.sleep(max(0.0, zero + due_s / speed - time.monotonic()))
             while data and line.listening():
                 written = line.write(data)
                 count, data = count + written, data[written:]

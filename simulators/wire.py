@@ -161,7 +161,12 @@ class PtyLine:
 
 
 def _waiting(file: int) -> int:
-    """Return the number of bytes that wait to be read."""
+    """Return the number of bytes that wait to be read.
+
+    The kernel hands on what was written in its own time, and counts only what it has handed on: asking whether a read
+    would block makes it do so now.
+    """
+    select.select([file], [], [], 0)
     return int(struct.unpack("i", fcntl.ioctl(file, termios.FIONREAD, b"\0" * 4))[0])
 
 
