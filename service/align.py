@@ -19,6 +19,7 @@ from inertial.inertial_alignment import inertial_alignment
 from service.block_noise import noise_of_span
 from service.errors import RefusedInput
 from service.physical import Physical
+from service.still_spans import movement, noise_to_judge_by
 
 DEG_H_RADPS = math.radians(1.0) / 3600.0
 MG_MPS2 = STANDARD_GRAVITY_MPS2 * 1e-3
@@ -27,7 +28,7 @@ MG_MPS2 = STANDARD_GRAVITY_MPS2 * 1e-3
 def align_recording(
     recording: Recording,
     *,
-    alignment: str = "rest",
+    alignment: str | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
     accel_bias_sigma_mps2: float = ACCEL_BIAS_PRIOR_MPS2,
@@ -39,7 +40,8 @@ def align_recording(
     ----------
     alignment
         ``"rest"``: by averages over the span; ``"inertial"``: in an inertial frame, for a launcher that sways; the
-        attitude is then that of the span's end.
+        attitude is then that of the span's end. None: by averages where the span stands still, else in the inertial
+        frame.
     start_s, end_s
         Device time to keep to [s]; the whole recording without them.
     accel_bias_sigma_mps2, gyro_bias_sigma_radps
@@ -48,8 +50,9 @@ def align_recording(
     Returns
     -------
     dict
-        ``azimuth_deg`` of the forward axis with 1σ (``azimuth_sigma_deg`` in all, ``azimuth_noise_sigma_deg`` from
-        noise and motion alone), ``roll_deg``, ``pitch_deg`` with theirs, and the azimuth that was given, if any.
+        ``still``, or else how the block ``moved`` in the span; ``azimuth_deg`` of the forward axis with 1σ
+        (``azimuth_sigma_deg`` in all, ``azimuth_noise_sigma_deg`` from noise and motion alone), ``roll_deg``,
+        ``pitch_deg`` with theirs, and the azimuth that was given, if any.
 
     Raises
     ------
@@ -60,6 +63,8 @@ def align_recording(
     low = physical.start_s if start_s is None else start_s
     high = physical.end_s if end_s is None else end_s
     span = physical.span(low, high)
+    moved = movement(physical, noise_to_judge_by(physical, low, high), low, high)
+    alignment = alignment or ("rest" if moved is None else "inertial")
     try:
         if alignment == "inertial":
             found = inertial_alignment(
@@ -96,6 +101,8 @@ def align_recording(
     believed = None if given.azimuth_rad is None else math.degrees(given.azimuth_rad + given.heading_rad) % 360.0
     return {
         "alignment": alignment,
+        "still": moved is None,
+        **({"moved": moved} if moved else {}),
         "span_s": [span.start_s, span.start_s + span.duration_s],
         "azimuth_deg": math.degrees(found.azimuth_rad),
         "azimuth_sigma_deg": math.degrees(math.hypot(found.azimuth_sigma_rad, bias_sigma)),

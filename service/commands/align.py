@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from service.commands.options import (
-    AlignmentKind,
     AlignmentOption,
     EndOption,
     JsonOption,
@@ -32,7 +31,10 @@ def align(
     ] = 1.0,
     json: JsonOption = None,
 ) -> None:
-    """Level and find north from a recording, whatever azimuth and level it gives: by averages, or while it sways."""
+    """Level and find north from a recording, whatever azimuth and level it gives.
+
+    Where no way is named: by averages if the block stands still in the span, else in an inertial frame.
+    """
     check_span(start, end)
     check_targets(json)
     from drivers.recording import read_recording
@@ -41,7 +43,7 @@ def align(
 
     facts = align_recording(
         read_recording(recording),
-        alignment=(alignment or AlignmentKind.REST).value,
+        alignment=alignment and alignment.value,
         start_s=start,
         end_s=end,
         gyro_bias_sigma_radps=gyro_bias * DEG_H_RADPS,

@@ -45,7 +45,10 @@ class AlignmentKind(StrEnum):
 
 AlignmentOption = Annotated[
     AlignmentKind | None,
-    typer.Option("--alignment", help="rest: by averages; inertial: while the launcher sways. Else as recorded."),
+    typer.Option(
+        "--alignment",
+        help="rest: by averages; inertial: while the launcher sways. Else as recorded; for `align`, as its data ask.",
+    ),
 ]
 OptionOption = Annotated[
     list[str] | None,

@@ -346,3 +346,5 @@ def test_inertial_alignment_finds_north_without_the_azimuth(shared_data: Path, n
     whole = align_recording(bare, alignment="inertial", end_s=300.0)
     assert whole["azimuth_deg"] == pytest.approx(90.6, abs=0.3)
     assert whole["azimuth_noise_sigma_deg"] < 0.3 < whole["azimuth_sigma_deg"]  # nothing tells of the gyros' bias
+    asked_of_the_data = align_recording(bare, end_s=300.0)["alignment"]
+    assert asked_of_the_data == ("inertial" if name == "rlg_vehicle_disturbed" else "rest")
