@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
+
+
+@cache
+def sync_finder(sync: tuple[bytes, ...]) -> re.Pattern[bytes]:
+    """Return the expression that finds any of the patterns that a frame may begin with."""
+    return re.compile(b"|".join(map(re.escape, sync)), re.DOTALL)
 
 
 class _Chunk(NamedTuple):
@@ -56,7 +63,7 @@ class Splitter:
         self._protocol = protocol
         self._byte_s = BITS_PER_BYTE / bit_rate
         self._latency_s = latency_s
-        self._find = re.compile(b"|".join(re.escape(sync) for sync in protocol.sync), re.DOTALL).search
+        self._find = sync_finder(protocol.sync).search
         self._sync_tail = max(map(len, protocol.sync)) - 1
         self._buffer = bytearray()
         self._base = 0  # place of the buffer's first byte in the stream
@@ -109,9 +116,9 @@ class Splitter:
     def prepare(self) -> None:
         """Make compiled code ready, where the protocol's frames can be told by a table."""
         if self._scanner is None and (layout := self._protocol.layout()) is not None:
-            from drivers.scan import Scanner  # not everyone who splits needs compiled code, or waits for it
+            from drivers.scan import scanner_of  # not everyone who splits needs compiled code, or waits for it
 
-            self._scanner = Scanner(layout)
+            self._scanner = scanner_of(layout)
 
     def _scan_stretch(
         self, scanner: Scanner, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]

@@ -131,6 +131,12 @@ class Scanner:
 
 
 @cache
+def scanner_of(layout: FrameLayout) -> Scanner:
+    """Return the compiled splitter of a layout; it keeps nothing, so that one serves every line."""
+    return Scanner(layout)
+
+
+@cache
 def _tables(checksum: Checksum) -> Tables:
     return mpeg2_tables() if checksum is Checksum.CRC32_MPEG2_BIG else zlib_tables()
 

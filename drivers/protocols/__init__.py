@@ -7,7 +7,7 @@ of that group; it needs no change here.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import cast
 
@@ -65,5 +65,23 @@ def _find(name: str) -> type[Protocol]:
         module, _, attribute = _BUILT_IN[name].partition(":")
         return cast(type[Protocol], getattr(import_module(module), attribute))
     for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
-        return cast(type[Protocol], point.load())
+        return _load(point)
     raise ProtocolError(f"no protocol named {name!r}; known are {', '.join(protocol_names())}")
+
+
+def _load(point: EntryPoint) -> type[Protocol]:
+    """Return the protocol that another package brings."""
+    package = point.dist.name if point.dist is not None else "of unknown name"
+    try:
+        found = point.load()
+    except Exception as error:  # another's module may fail in any way
+        raise ProtocolError(
+            f"protocol {point.name}: package {package} names it as {point.value}, which does not load: "
+            f"{type(error).__name__}: {error}. Update or remove that package."
+        ) from error
+    if not (isinstance(found, type) and issubclass(found, Protocol)):
+        raise ProtocolError(
+            f"protocol {point.name}: {point.value} of package {package} is no subclass of "
+            "drivers.protocols.base.Protocol. Update or remove that package."
+        )
+    return found

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import zlib
+from binascii import crc_hqx
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,7 +14,8 @@ from drivers.counters import Counters
 from drivers.framing import Splitter
 from drivers.protocols import get_protocol
 from drivers.protocols.base import Frame, Protocol
-from drivers.protocols.stim300 import LENGTHS
+from drivers.protocols.checksums import crc32_mpeg2, fletcher16, word_sum
+from drivers.protocols.stim300 import CRLF, LENGTHS
 from drivers.samples import SampleArray, empty_samples
 from drivers.stream import Batch, StreamDecoder
 
@@ -77,11 +80,42 @@ def frames_of(case: Case, samples: SampleArray) -> list[bytes]:
 
 
 def bare(case: Case, frames: list[bytes]) -> list[bytes]:
+    """Return frames of a case as :func:`bare_of` its protocol."""
+    return bare_of(case.protocol, frames)
+
+
+def bare_of(protocol: Protocol, frames: list[bytes]) -> list[bytes]:
     """Return frames without the CR LF of a STIM300, which stands behind them as sent and ahead of them as found."""
-    if case.name != "stim300":
+    if protocol.name != "stim300":
         return frames
     stripped = [frame.removeprefix(b"\r\n") for frame in frames]
     return [frame[: LENGTHS[frame[0]]] for frame in stripped]
+
+
+def reseal(protocol: Protocol, frame: bytearray) -> None:
+    """Put a right checksum on a frame whose fields were made up."""
+    match protocol.name:
+        case "native":
+            frame[-4:] = zlib.crc32(frame[:-4]).to_bytes(4, "little")
+        case "novatel":
+            frame[-4:] = (zlib.crc32(frame[:-4], 0xFFFFFFFF) ^ 0xFFFFFFFF).to_bytes(4, "little")
+        case "xsens":
+            frame[-1] = -sum(frame[1:-1]) & 0xFF
+        case "hg4930":
+            frame[-2:] = word_sum(frame[:-2]).to_bytes(2, "little")
+        case "vectornav":
+            frame[-2:] = crc_hqx(frame[1:-2], 0).to_bytes(2, "big")
+        case "mip":
+            frame[-2:] = fletcher16(frame[:-2])
+        case "stim300":
+            start = len(CRLF) if frame.startswith(CRLF) else 0
+            end = start + LENGTHS.get(frame[start], len(frame) - start)
+            frame[end - 4 : end] = crc32_mpeg2(frame[start : end - 4], -(end - start - 4) % 4)
+            frame[end:] = CRLF[: len(frame) - end]
+        case "kvh1750" if frame[2] == 0:  # a self-test frame
+            frame[-1] = sum(frame[:-1]) & 0xFF
+        case _:
+            frame[-4:] = crc32_mpeg2(frame[:-4], -len(frame) % 4)
 
 
 def split(stream: bytes, protocol: Protocol, seed: int = 0, bit_rate: float = 921600) -> tuple[list[bytes], Counters]:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-
 import numpy as np
 import pytest
 from protocol_bench import CASES, Case, decode, frames_of, moving_samples
 
-from drivers import protocols
-from drivers.protocols import get_protocol, option_names, protocol_names
+from drivers.protocols import get_protocol, option_names
 from drivers.protocols.base import ProtocolError
 from drivers.samples import Status, intervals_s
 
@@ -158,14 +155,3 @@ def test_options_may_come_as_text_from_a_command_line() -> None:
     assert get_protocol("stim300", accel_range_g="30", crlf="TRUE", rate_hz="2000").setting.accel_range_g == 30.0  # type: ignore[attr-defined]
     assert get_protocol("xsens", self_test_bit="no").self_test_bit is False  # type: ignore[attr-defined]
     assert option_names("novatel") == []
-
-
-def test_another_package_can_add_a_protocol_by_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    theirs = EntryPoint("theirs", "drivers.protocols.kvh1750:Kvh1750", protocols.ENTRY_POINT_GROUP)
-
-    def entry_points(group: str, name: str | None = None) -> list[EntryPoint]:
-        return [theirs] if group == protocols.ENTRY_POINT_GROUP and name in (None, "theirs") else []
-
-    monkeypatch.setattr(protocols, "entry_points", entry_points)
-    assert "theirs" in protocol_names()
-    assert get_protocol("theirs", rate_hz=500).rate_hz == 500  # type: ignore[attr-defined]

@@ -194,21 +194,3 @@ def test_the_page_of_effects_is_current() -> None:
 def test_a_wrong_entry_is_refused_by_name(entry: EffectEntry, words: str) -> None:
     with pytest.raises(EffectError, match=words):
         SimulatedBlock(BlockModel(), SETUP, rate_hz=RATE_HZ, effects=[entry])
-
-
-def test_another_package_can_bring_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Brought(type(get_effect("bias_shift"))):  # type: ignore[misc]
-        name = "brought"
-
-    class Point:
-        def load(self) -> object:
-            return Brought()
-
-    monkeypatch.setattr("simulators.effects.entry_points", lambda group: [Point()] if group else [])
-    effects.cache_clear()
-    try:
-        assert "brought" in effects()
-    finally:
-        monkeypatch.undo()
-        effects.cache_clear()
-    assert "brought" not in effects()
