@@ -35,7 +35,16 @@ class White:
 
     def increments(self, count: int) -> Array:
         """Return the next ``count`` rows."""
-        return self._rng.standard_normal((count, self._sigma.size)) * self._sigma
+        return _white(self._rng, self._sigma, count)
+
+
+@compiled
+def _white(rng: np.random.Generator, sigma: Array, count: int) -> Array:
+    rows = np.empty((count, sigma.size))
+    for k in range(count):
+        for c in range(sigma.size):
+            rows[k, c] = sigma[c] * rng.standard_normal()
+    return rows
 
 
 class Flicker:
@@ -62,26 +71,27 @@ class Flicker:
 
     def increments(self, count: int) -> Array:
         """Return the next ``count`` rows."""
-        last = self._next + count
-        renewals = int(np.sum((last - 1) // self._every - (self._next - 1) // self._every))
-        normal = self._rng.standard_normal((renewals, self._state.shape[1]))
-        rows = _flicker(self._next, count, self._every, self._decay, self._kick, self._state, normal)
-        self._next = last
+        rows = _flicker(self._rng, self._next, count, self._every, self._decay, self._kick, self._state)
+        self._next += count
         return rows
 
 
 @compiled
 def _flicker(
-    first: int, count: int, every: NDArray[np.int64], decay: Array, kick: Array, state: Array, normal: Array
+    rng: np.random.Generator,
+    first: int,
+    count: int,
+    every: NDArray[np.int64],
+    decay: Array,
+    kick: Array,
+    state: Array,
 ) -> Array:
     rows = np.zeros((count, state.shape[1]))
-    used = 0
     for k in range(count):
         for level in range(every.size):
             if (first + k) % every[level] == 0:
                 for c in range(state.shape[1]):
-                    state[level, c] = decay[level] * state[level, c] + kick[level, c] * normal[used, c]
-                used += 1
+                    state[level, c] = decay[level] * state[level, c] + kick[level, c] * rng.standard_normal()
             for c in range(state.shape[1]):
                 rows[k, c] += state[level, c]
     return rows
@@ -102,18 +112,18 @@ class RateRandomWalk:
 
     def increments(self, count: int) -> Array:
         """Return the next ``count`` rows."""
-        normal = self._rng.standard_normal((count, 2, self._step.size))
-        return _rate_walk(self._rate, self._step, self._interval_s, normal)
+        return _rate_walk(self._rng, self._rate, self._step, self._interval_s, count)
 
 
 @compiled
-def _rate_walk(rate: Array, step: Array, interval_s: float, normal: Array) -> Array:
-    rows = np.empty((normal.shape[0], step.size))
-    for k in range(normal.shape[0]):
+def _rate_walk(rng: np.random.Generator, rate: Array, step: Array, interval_s: float, count: int) -> Array:
+    rows = np.empty((count, step.size))
+    for k in range(count):
         for c in range(step.size):
-            within = 0.5 * normal[k, 0, c] + normal[k, 1, c] / math.sqrt(12.0)
-            rows[k, c] = interval_s * (rate[c] + step[c] * within)
-            rate[c] += step[c] * normal[k, 0, c]
+            walked = step[c] * rng.standard_normal()
+            within = 0.5 * walked + step[c] / math.sqrt(12.0) * rng.standard_normal()
+            rows[k, c] = interval_s * (rate[c] + within)
+            rate[c] += walked
     return rows
 
 
