@@ -22,6 +22,7 @@ LONGEST_INPUT = 128
 CHUNKS = (LONGEST_INPUT, LONGEST_INPUT, 64, 23)
 BYTE_S = 10 / 921600
 PAUSE_S = 0.3
+CHANGES = (0, 1, 1, 2, 5)
 INTERESTING = [bytes([byte]) for byte in (0, 1, 0x7F, 0x80, 0xFF)] + [bytes(4), b"\xff" * 4, b"\x7f\xc0\0\0"]
 # What the second byte of an input asks for, bit by bit; bits 6 and 7 choose the size of the reads. What costs most
 # is asked for by two bits, and so less often by chance.
@@ -117,39 +118,35 @@ def seeds() -> list[bytes]:
     for path in sorted(CORPUS.glob("*.hex")):
         which = NAMES.index(path.stem)
         stream = stream_of(which)[: LONGEST_INPUT - 2]
-        found += [
-            bytes([which, how]) + stream
-            for how in (0, TAKE_BETWEEN | OPENED_AGAIN | 0x80, SEAL, COMPARE | PAUSES | 0xC0)
-        ]
+        found += [bytes([which, how]) + stream for how in WAYS]
     return found
 
 
 def storm(which: int, seed: int, count: int) -> None:
     """Read ``count`` mutated pieces of the corpus as one stream that goes on and on; raise on what must not be.
 
-    Long streams meet what single inputs cannot, a decoder that remembers, and cost a fiftieth of it. A quarter of the
-    pieces get right checksums. Every fourth stream is split by both splitters, which must agree; else chance says by
-    which, and whether all is taken at the end or now and then.
+    Long streams meet what single inputs cannot, a decoder that remembers, and cost a fiftieth of it. A sixteenth of the
+    pieces get right checksums. Every eighth stream is split by both splitters, which must agree; else by each in turn.
     """
     rng, protocol = random.Random(seed), PROTOCOLS[which]
     pieces = mutated(which, rng, count)
-    for number in range(0, count, 4):
+    for number in range(0, count, 16):
         pieces[number] = sealed(which, pieces[number])
     stream = b"".join(pieces)
-    size = rng.choice((7, 64, 300, 4095))
+    size = rng.choice((31, 300, 4095))
     chunks = [stream[place : place + size] for place in range(0, len(stream), size)]
     steps_s = [rng.choice((1.0, 1.0, 1.0, rng.expovariate(0.01))) * size * BYTE_S for _ in chunks]
     times_s = list(accumulate(steps_s, initial=100.0))[1:]
-    if seed % 4 == 0:
+    if seed % 8 == 0:
         compare(protocol, stream, chunks, times_s)
         return
     decoder = StreamDecoder(protocol)
-    if rng.random() < 0.5:
+    if seed % 2:
         decoder.feed_stretch(*stretch(stream, chunks, times_s))
     else:
         for number, (chunk, time_s) in enumerate(zip(chunks, times_s, strict=True)):
             decoder.feed(chunk, time_s)
-            if number % 50 == 49:
+            if number % 200 == 199:
                 judge(decoder, decoder.take(time_s).samples)
     decoder.finish()
     judge(decoder, decoder.take().samples)
@@ -158,22 +155,20 @@ def storm(which: int, seed: int, count: int) -> None:
 
 def mutated(which: int, rng: random.Random, count: int) -> list[bytes]:
     """Return pieces of the corpus' stream, each with bytes changed, put in, taken out or repeated."""
-    whole = stream_of(which)
-    found = []
+    whole, chance, found = stream_of(which), rng.random, []
     for _ in range(count):
-        start = rng.randrange(len(whole))
-        piece = bytearray(whole[start : start + rng.randrange(1, LONGEST_INPUT)])
-        for _ in range(rng.choice((0, 1, 1, 2, 5))):
-            place = rng.randrange(len(piece) + 1)
-            match rng.randrange(4):
-                case 0:
-                    piece[place : place + 1] = INTERESTING[rng.randrange(len(INTERESTING))]
-                case 1:
-                    piece[place:place] = rng.randbytes(rng.randrange(1, 9))
-                case 2:
-                    del piece[place : place + rng.randrange(1, 9)]
-                case _:
-                    piece[place : place + 4] = piece[: rng.randrange(1, 12)]
+        start = int(chance() * len(whole))
+        piece = bytearray(whole[start : start + 1 + int(chance() * LONGEST_INPUT)])
+        for _ in range(CHANGES[int(chance() * len(CHANGES))]):
+            place, how, size = int(chance() * (len(piece) + 1)), chance(), 1 + int(chance() * 8)
+            if how < 0.4:
+                piece[place : place + 1] = INTERESTING[int(chance() * len(INTERESTING))]
+            elif how < 0.6:
+                piece[place:place] = rng.randbytes(size)
+            elif how < 0.8:
+                del piece[place : place + size]
+            else:
+                piece[place : place + 4] = piece[:size]
         found.append(bytes(piece))
     return found
 
