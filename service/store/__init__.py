@@ -1,8 +1,8 @@
-"""What outlives the process: runs, transitions, results, audit and idempotency keys in one database."""
+"""What outlives the process: runs, transitions, results, audit, tokens and idempotency keys in one database."""
 
 from __future__ import annotations
 
 from service.store.errors import StoreError
-from service.store.store import LAUNCHER, RunRecord, Store, TransitionRecord, utc_now
+from service.store.store import LAUNCHER, RunRecord, Store, TokenRecord, TransitionRecord, utc_now
 
-__all__ = ["LAUNCHER", "RunRecord", "Store", "StoreError", "TransitionRecord", "utc_now"]
+__all__ = ["LAUNCHER", "RunRecord", "Store", "StoreError", "TokenRecord", "TransitionRecord", "utc_now"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -18,10 +18,12 @@ from sqlalchemy.exc import DatabaseError
 from sqlalchemy.orm import Session, sessionmaker
 
 from service.store import revisions
+from service.store.audit_chain import GENESIS, Head, Verification, link, verify
+from service.store.audit_witness import Witness
 from service.store.errors import StoreError
 from service.store.postgres import PostgresDatabase
 from service.store.sqlite import SqliteFile
-from service.store.tables import Audit, IdempotencyKey, ResultRow, Run, Transition
+from service.store.tables import Audit, AuditHead, IdempotencyKey, ResultRow, Run, Token, Transition
 
 LAUNCHER = "launcher"
 OVER = ("FAULT", "ABORTED")
@@ -59,6 +61,19 @@ class RunRecord:
     transitions: list[dict[str, Any]] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class TokenRecord:
+    """One bearer token: who it is for, what it may, the argon2 hash of its secret, and when it ends."""
+
+    id: str
+    name: str
+    role: str
+    secret_hash: str
+    created_utc: str
+    expires_utc: str | None = None
+    revoked_utc: str | None = None
+
+
 def utc_now() -> str:
     """Return the wall-clock time as RFC 3339 text with microseconds."""
     return datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
@@ -87,6 +102,7 @@ class Store:
     def __init__(self, database: Path | str, launcher: str = LAUNCHER, *, alone: bool = False) -> None:
         self.launcher = launcher
         place = PostgresDatabase(database) if isinstance(database, str) else SqliteFile(database)
+        self._witness = Witness(database.with_name(f"{database.name}.audit") if isinstance(database, Path) else None)
         self._held = place.hold(launcher) if alone else None
         self._engine = place.engine()
         self._sessions: sessionmaker[Session] = sessionmaker(self._engine, expire_on_commit=False)
@@ -245,24 +261,73 @@ class Store:
     # -- audit
 
     def audit(self, who: str, command: str, run_id: str | None, outcome: str, detail: str = "") -> None:
-        """Record one command with its outcome."""
+        """Record one command with its outcome, chained to the entry before."""
+        entry = {
+            "launcher": self.launcher,
+            "utc": utc_now(),
+            "who": who,
+            "command": command,
+            "run_id": run_id,
+            "outcome": outcome,
+            "detail": detail,
+        }
         with self._sessions.begin() as session:
-            entry = Audit(
-                launcher=self.launcher,
-                utc=utc_now(),
-                who=who,
-                command=command,
-                run_id=run_id,
-                outcome=outcome,
-                detail=detail,
-            )
-            session.add(entry)
+            # Taking the head for writing comes first: whoever else writes waits here, and sees what we leave.
+            mine = AuditHead.launcher == self.launcher
+            taken = update(AuditHead).where(mine).values(entries=AuditHead.entries + 1)
+            if session.connection().execute(taken).rowcount == 0:
+                session.add(AuditHead(launcher=self.launcher, entries=1, sha256=GENESIS))
+                session.flush()
+            head = session.get_one(AuditHead, self.launcher, populate_existing=True)
+            head.sha256 = link(head.sha256, head.entries, entry)
+            session.add(Audit(**entry, number=head.entries, sha256=head.sha256))
+            number, digest = head.entries, head.sha256
+        self._witness.note(self.launcher, number, digest)
 
-    def audit_log(self, limit: int = 100) -> list[dict[str, Any]]:
-        """Return the newest entries first."""
+    def audit_log(self, limit: int = 100, before: int | None = None) -> list[dict[str, Any]]:
+        """Return up to ``limit`` entries, of all launchers, newest first, older than the one with id ``before``."""
+        query = select(Audit).order_by(Audit.id.desc()).limit(limit)
+        if before is not None:
+            query = query.where(Audit.id < before)
         with self._sessions() as session:
-            rows = session.scalars(select(Audit).order_by(Audit.id.desc()).limit(limit))
-            return [{column.name: getattr(row, column.name) for column in Audit.__table__.columns} for row in rows]
+            return [_columns(row) for row in session.scalars(query)]
+
+    def verify_audit(self, noted: Mapping[int, str]) -> Verification:
+        """Check this launcher's audit log against itself, the file beside the store, and hashes noted elsewhere."""
+        query = select(Audit).where(Audit.launcher == self.launcher).order_by(Audit.number)
+        with self._sessions() as session:
+            row = session.get(AuditHead, self.launcher)
+            head = Head(row.entries, row.sha256) if row is not None else None
+            entries = map(_columns, session.scalars(query))
+            return verify(self.launcher, entries, head, {**self._witness.read(self.launcher), **noted})
+
+    # -- tokens
+
+    def add_token(self, token: TokenRecord) -> None:
+        """Keep a token."""
+        with self._sessions.begin() as session:
+            session.add(Token(launcher=self.launcher, **asdict(token)))
+
+    def tokens(self) -> list[TokenRecord]:
+        """Return this launcher's tokens, the revoked ones too, oldest first."""
+        query = select(Token).where(Token.launcher == self.launcher).order_by(Token.created_utc, Token.id)
+        with self._sessions() as session:
+            return [_token(row) for row in session.scalars(query)]
+
+    def revoke_token(self, token_id: str) -> bool:
+        """End a token now; tell whether there was one to end."""
+        known = (Token.id == token_id) & (Token.launcher == self.launcher) & Token.revoked_utc.is_(None)
+        with self._sessions.begin() as session:
+            ended = session.connection().execute(update(Token).where(known).values(revoked_utc=utc_now()))
+            return bool(ended.rowcount)
+
+
+def _columns(row: Audit) -> dict[str, Any]:
+    return {column.name: getattr(row, column.name) for column in Audit.__table__.columns}
+
+
+def _token(row: Token) -> TokenRecord:
+    return TokenRecord(**{field.name: getattr(row, field.name) for field in fields(TokenRecord)})
 
 
 def _new_run_id(now: str) -> str:

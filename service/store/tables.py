@@ -61,18 +61,45 @@ class ResultRow(Base):
 
 
 class Audit(Base):
-    """One command, accepted or refused: who, when, what, outcome."""
+    """One command, accepted or refused: who, when, what, outcome; each launcher's entries are numbered and chained."""
 
     __tablename__ = "audit"
 
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     launcher: Mapped[str] = mapped_column(Text, server_default="launcher")
+    number: Mapped[int] = mapped_column(server_default="0")
+    sha256: Mapped[str] = mapped_column(Text, server_default="")
     utc: Mapped[str] = mapped_column(Text)
     who: Mapped[str] = mapped_column(Text)
     command: Mapped[str] = mapped_column(Text)
     run_id: Mapped[str | None] = mapped_column(Text)
     outcome: Mapped[str] = mapped_column(Text)
     detail: Mapped[str] = mapped_column(Text)
+
+
+class AuditHead(Base):
+    """Where each launcher's audit log ends."""
+
+    __tablename__ = "audit_heads"
+
+    launcher: Mapped[str] = mapped_column(Text, primary_key=True)
+    entries: Mapped[int]
+    sha256: Mapped[str] = mapped_column(Text)
+
+
+class Token(Base):
+    """A bearer token of one launcher, by the hash of its secret."""
+
+    __tablename__ = "tokens"
+
+    id: Mapped[str] = mapped_column(Text, primary_key=True)
+    launcher: Mapped[str] = mapped_column(Text)
+    name: Mapped[str] = mapped_column(Text)
+    role: Mapped[str] = mapped_column(Text)
+    secret_hash: Mapped[str] = mapped_column(Text)
+    created_utc: Mapped[str] = mapped_column(Text)
+    expires_utc: Mapped[str | None] = mapped_column(Text)
+    revoked_utc: Mapped[str | None] = mapped_column(Text)
 
 
 class IdempotencyKey(Base):
