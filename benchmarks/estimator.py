@@ -235,8 +235,10 @@ def study(case: Case, runs: int, runs_from_data: int, seed: int) -> dict[str, An
     tasks = [(case, seed + k, k < runs_from_data) for k in range(runs)]
     # The runs share the cores, so linear algebra within each must not.
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    began = time.perf_counter()
     with multiprocessing.get_context("spawn").Pool() as pool:
         outcomes = list(_progress(pool.imap_unordered(run, tasks, chunksize=10), runs))
+    elapsed_s = time.perf_counter() - began
     limit = np.sqrt(np.diag(bound(case)))
     error = np.array([outcome.optimal for outcome in outcomes])
     paper = np.array([outcome.paper for outcome in outcomes])
@@ -250,6 +252,7 @@ def study(case: Case, runs: int, runs_from_data: int, seed: int) -> dict[str, An
         },
         "allowed": 1.05 + 2.0 / math.sqrt(2.0 * runs),
         "nees": _nees(nees),
+        "trials_per_s": runs / elapsed_s,
     }
     own = np.array([outcome.from_data for outcome in outcomes if outcome.from_data is not None])
     if len(own):
@@ -323,6 +326,8 @@ def _table(found: dict[str, Any], white: dict[str, Any]) -> dict[str, Any]:
                 f"{white['efficiency']['paper'][name]:.2f}" + (" (level)" if level else ""),
             ]
         )
+    speeds = [f"{one['trials_per_s']:.1f}" for one in (found, white)]
+    rows.append([f"trials/s (simulated, estimated) on {os.cpu_count()} cores", speeds[0], "", "", speeds[1]])
     header = [
         "σ ÷ Cramér–Rao bound",
         f"optimal (N = {found['runs']})",
