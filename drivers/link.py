@@ -178,6 +178,11 @@ class SerialLink:
         with self._clock_use:
             return self._clock.fit()
 
+    def wrong_rate(self) -> float | None:
+        """Return by what fraction samples come slower than stated, where that is a named condition; else None."""
+        check = self._decoder.rate_check
+        return check.discrepancy if check.condition else None
+
     def read(self, timeout_s_real: float = 0.1) -> Batch | None:
         """Decode what has come; wait up to ``timeout_s_real`` [real s] for something, and return None without.
 

@@ -64,7 +64,7 @@ class StreamDecoder:
         self._splitter = Splitter(protocol, bit_rate, latency_s, self.counters)
         self._decoder = protocol.decoder()
         self._decoder.host_latency_s = latency_s
-        self._rate_check = RateCheck(latency_s, self._decoder.stated_rate_hz)
+        self.rate_check = RateCheck(latency_s, self._decoder.stated_rate_hz)
         self._continuity = Continuity(delay_tolerance_s=latency_s + 0.5)
         self._begun = False
         self._pieces: list[Sequence[Frame]] = []
@@ -120,7 +120,7 @@ class StreamDecoder:
         samples, host_time_s = decoded.samples, arrivals_s(frames)
         if not np.array_equal(decoded.frame_of_sample, np.arange(len(frames))):  # else copies are spared
             host_time_s = host_time_s[decoded.frame_of_sample]
-        self._rate_check.follow(samples, host_time_s)
+        self.rate_check.follow(samples, host_time_s)
         reopened = self._rows_after_reopening(decoded.frame_of_sample)
         marks = self._continuity.follow(samples, host_time_s, reopened)
         if marks.duplicates:
@@ -134,7 +134,7 @@ class StreamDecoder:
             marks.restarts,
             [int(np.searchsorted(marks.keep, row)) for row in reopened],
             marks.duplicates,
-            self._rate_check.condition,
+            self.rate_check.condition,
         )
 
     def _take_frames(self) -> Sequence[Frame]:

@@ -43,6 +43,8 @@ RECORD_AGAIN_S = 1.0
 """Real seconds before a change of state that the store did not take is offered again."""
 HOST_PATIENCE_S = 5.0
 """Real seconds that power-up and self-test get at least, however fast simulated time runs."""
+ALWAYS_SHOWN = "sample_rate:"
+"""Condition that no state names for itself, and that an operator must know of before a run ends unfit."""
 DEAD_AFTER_S = 2.0
 """Real seconds without a sign of life of the acquisition thread after which nothing it said counts."""
 
@@ -393,7 +395,8 @@ class Controller:
             return facts
         against = self._board.against()
         facts["fit"] = facts["fit"] and not against
-        facts["reasons"] = [*(against if self._sequencer.fit else []), *facts["reasons"], *self._board.noted()]
+        shown = against if self._sequencer.fit else [words for words in against if words.startswith(ALWAYS_SHOWN)]
+        facts["reasons"] = [*shown, *facts["reasons"], *self._board.noted()]
         return facts
 
     def _allowed(self) -> list[str]:

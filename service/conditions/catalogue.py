@@ -115,7 +115,7 @@ def _rate(facts: Facts) -> Measure:
     error, limit = facts.rate_error, facts.rate_limit
     if error is None:
         return Measure(None, None, limit, "", "not watched for long enough")
-    text = f"the block's clock differs from the host's by {error:+.1e} ± {facts.rate_sigma:.0e}, of {limit:g} allowed"
+    text = f"frames come off their stated rate by {-error:+.1e} ± {facts.rate_sigma:.0e}, of {limit:g} allowed"
     return Measure(abs(error) - 3 * facts.rate_sigma <= limit, error, limit, "", text)
 
 

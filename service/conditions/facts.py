@@ -11,7 +11,8 @@ class Facts:
 
     Times are simulated seconds but for ``wall_jump_s``, the real seconds by which the wall clock has been set since the
     service started. ``terms_share``: the largest final term as a share of what it may be; ``worst_term`` names it.
-    ``rate_error``: seconds of the host per second of the block, less 1, with 1σ ``rate_sigma``.
+    ``rate_error``: seconds of the host per second by the block's clock, or by the rate stated for it, less 1, with 1σ
+    ``rate_sigma``.
     """
 
     link: str = "DISCONNECTED"

@@ -83,12 +83,17 @@ class Gatherer:
     def _look(self) -> None:
         while True:
             self._disk_free_mb = _free_mb(self._settings.store.path.parent)
-            self._rate = self._clock_error()
+            self._rate = self._rate_error()
             if self._stopping.wait(SLOW_EVERY_S):
                 return
 
-    def _clock_error(self) -> tuple[float, float] | None:
-        fit = self._line.link.clock() if self._line is not None else None
+    def _rate_error(self) -> tuple[float, float] | None:
+        """Return by what fraction frames come slower than stated, with σ; a block without clock has stated no time."""
+        if self._line is None:
+            return None
+        if (wrong := self._line.link.wrong_rate()) is not None:
+            return wrong, 0.0
+        fit = self._line.link.clock()
         if fit is None or fit.span_s / self._settings.time.speed < RATE_WATCH_S:
             return None
         return (fit.skew, fit.skew_sigma) if math.isfinite(fit.skew + fit.skew_sigma) else None

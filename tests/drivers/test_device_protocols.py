@@ -85,7 +85,7 @@ def test_kvh_true_rate_is_measured_where_another_is_nominal(form: str) -> None:
     settled = batch.samples[5000:]
     assert 1 / intervals_s(settled).mean() == pytest.approx(true_hz, rel=5e-4)
     assert batch.conditions == Status.WRONG_RATE
-    assert decoder._rate_check.discrepancy == pytest.approx(1000 / true_hz - 1, abs=1e-3)
+    assert decoder.rate_check.discrepancy == pytest.approx(1000 / true_hz - 1, abs=1e-3)
     assert np.median(np.abs(settled["dtheta"] / sent["dtheta"][5000:] - 1)) < 5e-4
     assert not np.any(settled["status"])
 
