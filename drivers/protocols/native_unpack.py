@@ -27,10 +27,12 @@ Column = NDArray[np.float64]
 
 def unpack(data: Bytes, starts: NDArray[np.int64]) -> SampleArray:
     """Return the samples of the data frames that begin at ``starts``, as ``decode_samples`` would."""
-    samples = np.empty(len(starts), sample_dtype(TEMPERATURES))  # every field is written
+    # Every row asked for is written. At least two are made: columns of fewer are of another type, contiguous, for which
+    # all would be compiled anew.
+    samples = np.empty(max(len(starts), 2), sample_dtype(TEMPERATURES))
     columns = [samples[name] for name in ("sequence", "time", "dv", "dtheta", "temperature", "supply", "status")]
     _unpack(data, starts, *columns)
-    return samples
+    return samples[: len(starts)]
 
 
 def rows_of_kind(data: Bytes, starts: NDArray[np.int64], kind: int) -> NDArray[np.intp]:
