@@ -92,7 +92,8 @@ class StreamDecoder:
             for host_time_s, data in chunks:
                 self.feed(data, host_time_s)
             return
-        joined = np.frombuffer(b"".join([data for _, data in chunks]), np.uint8)
+        # Of a bytearray: an array that may not be written to is another type, for which all would be compiled anew.
+        joined = np.frombuffer(bytearray().join([data for _, data in chunks]), np.uint8)
         ends = np.cumsum([len(data) for _, data in chunks])
         self.feed_stretch(joined, ends, np.array([host_time_s for host_time_s, _ in chunks]))
 
