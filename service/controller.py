@@ -22,6 +22,7 @@ from service.conditions.gather import Gatherer
 from service.config import BlockSettings, ReferenceSettings, SequenceSettings, Settings
 from service.discrepancy_desk import DiscrepancyDesk
 from service.events import EventHub
+from service.lease import Lease, LeaseDesk, LeaseHeld
 from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
 from service.recovery import recover
@@ -88,6 +89,7 @@ class Controller:
         self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
         self.store = Store(settings.store.database, settings.store.launcher, alone=True)
         self.hub = EventHub()
+        self.leases = LeaseDesk()
         beside = settings.store.path
         self.models = ModelChoice(settings.block.model, beside.with_name(beside.stem + "-models"))
         self.desk = DiscrepancyDesk(settings, self.store, self.hub, self.models, self.folder, self._busy)
@@ -212,6 +214,31 @@ class Controller:
                 self.store.audit(who, f"acknowledge {name}", self._run_id(), "refused", str(error))
                 raise
             self.store.audit(who, f"acknowledge {name}", self._run_id(), "accepted", why)
+
+    def acquire_lease(self, who: str, lasts_s: float, take_over: bool, why: str) -> tuple[Lease, str | None]:
+        """Give the lease, and tell from whom it was taken over.
+
+        Raises
+        ------
+        LeaseHeld
+            Recorded in the audit as refused.
+        """
+        command = "take over the lease" if take_over else "acquire the lease"
+        try:
+            lease, before = self.leases.acquire(who, lasts_s, take_over=take_over)
+        except LeaseHeld as error:
+            self.store.audit(who, command, self._run_id(), "refused", str(error))
+            raise
+        detail = f"from {before}" + (f": {why}" if why else "") if before is not None else why
+        self.store.audit(who, command, self._run_id(), "accepted", detail)
+        self.hub.publish("lease", {"holder": who, "lasts_s": lasts_s, "taken_over_from": before})
+        return lease, before
+
+    def release_lease(self, lease_id: str) -> None:
+        """Take the lease back from its holder; raises :class:`service.lease.NoSuchLease`."""
+        lease = self.leases.release(lease_id)
+        self.store.audit(lease.holder, "release the lease", self._run_id(), "accepted")
+        self.hub.publish("lease", {"holder": None, "lasts_s": 0.0, "taken_over_from": None})
 
     def _run_id(self) -> str | None:
         run = self._sequencer.run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 import threading
 from collections import deque
 from collections.abc import AsyncIterator
@@ -12,6 +13,7 @@ from itertools import count
 from typing import Any
 
 QUEUE_EVENTS = 256
+KEPT_EVENTS = 2_048
 HEARTBEAT_S = 10.0
 
 
@@ -39,29 +41,50 @@ class _Client:
 
 
 class EventHub:
-    """Publishes from any thread; each subscriber reads in its own event loop."""
+    """Publishes from any thread; each subscriber reads in its own event loop.
+
+    The last events are kept, so that a client that was cut off can go on where it was. Ids begin with a word of this
+    process: those of another one mean nothing here.
+    """
 
     def __init__(self) -> None:
         self._numbers = count(1)
+        self._era = secrets.token_hex(4)
+        self._kept: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._clients: set[_Client] = set()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._clients)
 
+    def id_of(self, event: Event) -> str | None:
+        """Return the id by which a client can go on after an event; None for one that is not kept."""
+        return f"{self._era}-{event.number}" if event.number else None
+
     def publish(self, kind: str, data: dict[str, Any]) -> None:
         """Give an event to every subscriber; never waits for one."""
         with self._lock:
             clients = list(self._clients)
             event = Event(next(self._numbers), kind, data)
+            self._kept.append(event)
         for client in clients:
             with suppress(RuntimeError):  # its loop has closed
                 client.loop.call_soon_threadsafe(client.put, event)
 
-    async def subscribe(self, heartbeat_s: float = HEARTBEAT_S) -> AsyncIterator[Event]:
-        """Yield events as they come, and a ``heartbeat`` (with how many were dropped) when none came for a while."""
+    async def subscribe(self, heartbeat_s: float = HEARTBEAT_S, after: str | None = None) -> AsyncIterator[Event]:
+        """Yield events as they come, and a ``heartbeat`` (with how many were dropped) when none came for a while.
+
+        Parameters
+        ----------
+        heartbeat_s
+            Real seconds of silence before a heartbeat.
+        after
+            Id of the last event a client has seen: those since come first, as far as they are kept.
+        """
         client = _Client(asyncio.get_running_loop())
         with self._lock:
+            for event in self._since(after):
+                client.put(event)
             self._clients.add(client)
         try:
             while True:
@@ -75,3 +98,9 @@ class EventHub:
         finally:
             with self._lock:
                 self._clients.discard(client)
+
+    def _since(self, after: str | None) -> list[Event]:
+        era, _, number = (after or "").rpartition("-")
+        if era != self._era or not number.isdigit():
+            return []
+        return [event for event in self._kept if event.number > int(number)]

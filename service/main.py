@@ -5,14 +5,17 @@ from __future__ import annotations
 import logging
 import signal
 import socket
+import ssl
 import sys
 
 import structlog
 import uvicorn
 
 from service.api import create_app
+from service.api.gate import is_loopback
 from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
+from service.security.tokens import Tokens
 from service.store import StoreError
 
 log = structlog.get_logger()
@@ -36,6 +39,12 @@ def run_service(settings: Settings) -> None:
         controller = Controller(settings)
     except StoreError as error:
         raise ConfigError(str(error)) from None
+    try:
+        check_reach(settings.http, Tokens(controller.store))
+    except ConfigError:
+        listening.close()
+        controller.store.close()
+        raise
     server = uvicorn.Server(
         uvicorn.Config(
             create_app(controller),
@@ -43,6 +52,8 @@ def run_service(settings: Settings) -> None:
             access_log=False,
             timeout_graceful_shutdown=SHUTDOWN_S,
             lifespan="off",
+            ssl_certfile=settings.http.certificate,
+            ssl_keyfile=settings.http.key,
         )
     )
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -55,6 +66,30 @@ def run_service(settings: Settings) -> None:
         controller.stop()
 
 
+def check_reach(http: HttpSettings, tokens: Tokens) -> None:
+    """Refuse an address that other machines reach while anybody could command there."""
+    if is_loopback(http.host) or tokens.exist():
+        return
+    remedy = "Make one (`inertrim token create NAME --role operator`), or set [http] host to 127.0.0.1."
+    raise ConfigError(
+        f"http://{http.host}:{http.port}: other machines reach this address, and no token exists. {remedy}"
+    )
+
+
+def check_certificate(http: HttpSettings) -> None:
+    """Refuse a certificate that cannot be used."""
+    if http.certificate is None and http.key is None:
+        return
+    if http.certificate is None or http.key is None:
+        raise ConfigError("settings: [http] certificate and key belong together. Give both, or none.")
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(http.certificate, http.key)
+    except OSError as error:
+        raise ConfigError(
+            f"{http.certificate}, {http.key}: not usable for TLS ({error}). Give a PEM certificate and its own key."
+        ) from None
+
+
 def _listen(http: HttpSettings) -> socket.socket:
     """Return the listening socket, taken before anything else so that a port in use stops nothing half-way."""
     family = socket.AF_INET6 if ":" in http.host else socket.AF_INET
@@ -64,7 +99,7 @@ def _listen(http: HttpSettings) -> socket.socket:
         remedy = "Stop what listens there, or set another [http] host and port."
         raise ConfigError(f"http://{http.host}:{http.port}: {error.strerror or error}. {remedy}") from None
     host, port = listening.getsockname()[:2]
-    log.info("listening", address=f"http://{host}:{port}/api/v1")
+    log.info("listening", address=f"{'http' if http.certificate is None else 'https'}://{host}:{port}/api/v1")
     return listening
 
 
@@ -77,6 +112,7 @@ def check_files(settings: Settings) -> None:
     """Refuse a calibration or model that a run could not use, before anyone waits for the run."""
     from inertial.documents import BlockModel, Calibration, DocumentError, parse_document
 
+    check_certificate(settings.http)
     for path, kind in ((settings.block.calibration, Calibration), (settings.block.model, BlockModel)):
         if path is None:
             continue

@@ -776,6 +776,17 @@ class Sequencer:
         return list(self._run.result.reasons) if self._run is not None and self._run.result is not None else []
 
 
+def planned(settings: SequenceSettings) -> list[tuple[str, float | None]]:
+    """Return the way of a run with the least time of each step [block s]; None where the block decides."""
+    lengths = {
+        Name.SETTLING: settings.settling_window_s,
+        Name.ALIGNING: settings.align_s + GUARD_S,
+        Name.VERIFYING: settings.verify_s + GUARD_S,
+        **dict.fromkeys((Name.STAGE_1, Name.STAGE_2, Name.STAGE_3), settings.stage_s),
+    }
+    return [(step.value, lengths.get(step)) for step in PATH]
+
+
 def _share(done_s: float, length_s: float) -> tuple[float, float]:
     done_s = min(max(done_s, 0.0), length_s)
     return round(done_s / length_s, 4), round(length_s - done_s, 3)

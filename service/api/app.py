@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
 from fastapi import FastAPI
 
-from service.api import discrepancies, events, library, problems, runs, status
+from service.api import (
+    conditions,
+    discrepancies,
+    events,
+    lease,
+    library,
+    pages,
+    problems,
+    records,
+    runs,
+    session,
+    status,
+)
+from service.api.gate import Access, Gate
+from service.api.headers import SecurityHeaders
 from service.controller import Controller
+from service.security import roles
+from service.security.tokens import Tokens
 
 MAX_BODY_BYTES = 64 * 1024
 
@@ -27,9 +43,13 @@ def create_app(controller: Controller) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.controller = controller
+    app.state.access = cache(lambda: Access(Tokens(controller.store), controller.settings.http))
     problems.install(app, MAX_BODY_BYTES)
-    for module in (status, runs, events, library, discrepancies):
+    app.add_middleware(Gate, access=app.state.access)
+    app.add_middleware(SecurityHeaders)
+    for module in (status, runs, events, library, discrepancies, conditions, lease, session, records):
         app.include_router(module.router, prefix="/api/v1")
+    app.include_router(pages.router)
     app.include_router(status.probes, prefix="/api/v1")
     app.include_router(status.probes, include_in_schema=False)
     app.openapi = partial(_document, app, app.openapi)  # type: ignore[method-assign]
@@ -41,5 +61,15 @@ def _document(app: FastAPI, make: Callable[[], dict[str, Any]]) -> dict[str, Any
     if app.openapi_schema is None:
         schema = problems.Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         make().setdefault("components", {}).setdefault("schemas", {})["Problem"] = schema
+        assert app.openapi_schema is not None
+        for path, methods in app.openapi_schema["paths"].items():
+            for method, operation in methods.items():
+                if roles.needed(method.upper(), path) is not None:
+                    operation["responses"].update(_gate_responses())
     assert app.openapi_schema is not None
     return app.openapi_schema
+
+
+def _gate_responses() -> dict[str, Any]:
+    """Return what the gate may answer before any endpoint is reached."""
+    return {str(status): entry for status, entry in problems.responses(401, 403, 429).items()}

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Request, Response
+from fastapi import APIRouter, Depends, Header, Path, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel, Field, StringConstraints, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from inertial.documents import DocumentError
 from service.api.common import REFUSALS as RUN_REFUSALS
@@ -27,6 +27,12 @@ JobId = Annotated[str, Path(description="Id of a discrepancy, as POST /discrepan
 
 class RecordingChoice(Body):
     """A recording: that of a run, or one in the configured folder of recordings, by its name without ending."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": [one], "properties": {one: {"type": "string"}}} for one in ("run_id", "name")]
+        }
+    )
 
     run_id: Annotated[str, StringConstraints(max_length=40)] | None = None
     name: Text | None = None
@@ -145,7 +151,17 @@ def read_discrepancy_report(job_id: JobId, controller: ControllerHere) -> FileRe
     return FileResponse(page, media_type="text/html; charset=utf-8")
 
 
-@router.get("/discrepancies/{job_id}/events", response_class=EventSourceResponse, responses=responses(404, 422))
+def known_job(job_id: JobId, controller: ControllerHere) -> None:
+    """Refuse an unknown id before the stream begins."""
+    _known(controller, job_id)
+
+
+@router.get(
+    "/discrepancies/{job_id}/events",
+    response_class=EventSourceResponse,
+    responses=responses(404, 422),
+    dependencies=[Depends(known_job)],
+)
 async def follow_discrepancy(job_id: JobId, controller: ControllerHere) -> AsyncIterator[ServerSentEvent]:
     """Stream ``discrepancy`` (how it stands, at once and at every step) until it is over, and ``heartbeat``."""
     stream = controller.hub.subscribe()

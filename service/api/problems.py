@@ -26,6 +26,8 @@ class Problem(BaseModel):
     detail: str
     allowed: list[str] | None = None
     state: str | None = None
+    holder: str | None = None
+    left_s: float | None = None
     errors: list[dict[str, Any]] | None = None
 
 

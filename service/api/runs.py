@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Header, Query, Request, Response
 from fastapi.responses import FileResponse
 
-from service.api.common import REFUSALS, ControllerHere, RunId, as_problem, who_asks
-from service.api.models import Accepted, Change, Note, Run, RunDetail, RunList, RunRequest
+from inertial.documents import Result, parse_document
+from service.api.common import REFUSALS, ControllerHere, MayCommand, RunId, as_problem, who_asks
+from service.api.models import Accepted, Change, NavigationError, Note, Run, RunDetail, RunList, RunRequest
 from service.api.problems import ProblemError, responses
 from service.controller import Controller
+from service.navigation_error import navigation_error
 from service.store import RunRecord
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 BASE = "/api/v1/runs"
 
 
-@router.post("", status_code=202, responses=responses(400, 409, 413, 422, 503))
+@router.post("", status_code=202, responses=responses(400, 409, 413, 422, 423, 503), dependencies=[MayCommand])
 def start_run(
     body: RunRequest,
     request: Request,
@@ -58,7 +61,9 @@ def read_run(run_id: RunId, controller: ControllerHere) -> RunDetail:
     )
 
 
-@router.post("/{run_id}/abort", status_code=202, responses=responses(400, 404, 409, 413, 422))
+@router.post(
+    "/{run_id}/abort", status_code=202, responses=responses(400, 404, 409, 413, 422, 423), dependencies=[MayCommand]
+)
 def abort_run(
     run_id: RunId,
     request: Request,
@@ -75,7 +80,12 @@ def abort_run(
     return _accepted(controller, response, run_id)
 
 
-@router.post("/{run_id}/acknowledge", status_code=202, responses=responses(400, 404, 409, 413, 422))
+@router.post(
+    "/{run_id}/acknowledge",
+    status_code=202,
+    responses=responses(400, 404, 409, 413, 422, 423),
+    dependencies=[MayCommand],
+)
 def acknowledge_run(
     run_id: RunId,
     request: Request,
@@ -100,6 +110,21 @@ def read_result(run_id: RunId, controller: ControllerHere) -> Response:
     if document is None:
         raise _nothing_yet(record, "result")
     return Response(document, media_type="application/json")
+
+
+@router.get("/{run_id}/navigation", responses=responses(404, 422))
+def read_navigation(run_id: RunId, controller: ControllerHere) -> NavigationError:
+    """Tell how far navigation goes astray with the run's terms in, and without them."""
+    record = _known(controller, run_id)
+    document = controller.store.result(run_id)
+    if document is None:
+        raise _nothing_yet(record, "result")
+    return NavigationError(**_navigation(document))
+
+
+@lru_cache(maxsize=32)
+def _navigation(document: str) -> dict[str, Any]:
+    return navigation_error(parse_document(Result, document, "result.json"))
 
 
 @router.get(

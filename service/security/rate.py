@@ -1,0 +1,40 @@
+"""How much one client may ask: a bucket for each that fills at a steady rate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+BURST_S = 5.0
+"""What was saved up in so many seconds may be spent at once."""
+CLIENTS_MAX = 10_000
+
+
+class RateLimit:
+    """One bucket a client.
+
+    Parameters
+    ----------
+    per_s
+        Requests per second in the long run.
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(self, per_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._per_s, self._clock = per_s, clock
+        self._full = max(per_s * BURST_S, 1.0)
+        self._buckets: dict[str, tuple[float, float]] = {}
+
+    def take(self, client: str) -> float:
+        """Take one request; return 0, or the seconds after which it could be."""
+        now_s = self._clock()
+        left, at_s = self._buckets.get(client, (self._full, now_s))
+        left = min(left + (now_s - at_s) * self._per_s, self._full)
+        if left < 1.0:
+            self._buckets[client] = (left, now_s)
+            return (1.0 - left) / self._per_s
+        if client not in self._buckets and len(self._buckets) >= CLIENTS_MAX:
+            self._buckets.clear()
+        self._buckets[client] = (left - 1.0, now_s)
+        return 0.0
