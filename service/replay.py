@@ -107,7 +107,7 @@ def read_replay(path: Path, protocol: Protocol, *, bit_rate: float = 921600, kee
         if found.kind is SourceKind.CAPTURE:
             batch.follow_clock(clock)
     found.stretches = [stretch for stretch in found.stretches if stretch.count]
-    if found.kind is not SourceKind.CAPTURE and not (found.stretches or found.messages):
+    if found.kind is not SourceKind.CAPTURE and not found.counters.frames:
         raise RefusedInput(
             found.name,
             f"no whole record of a capture, no frame of protocol {protocol.name} in {found.counters.bytes_in} bytes.",

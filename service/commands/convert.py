@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -45,7 +45,7 @@ def convert(
     typer.echo(f"{path}: {_sum_up(facts, found.longest.count if found.longest else 0)}")
 
 
-def _sum_up(facts: dict[str, object], written: int) -> str:
+def _sum_up(facts: dict[str, Any], written: int) -> str:
     """Say in a line what was written and what was not."""
     text = f"{written} samples, {facts['messages']} messages"
     for name, words in (
@@ -54,6 +54,7 @@ def _sum_up(facts: dict[str, object], written: int) -> str:
         ("crc_failures", "checksums wrong"),
     ):
         text += f", {facts[name]} {words}" if facts[name] else ""
+    text += "".join(f", {name}" for name in facts["conditions"])
     if facts["stretches"] != 1:
         text += f"; the longest of {facts['stretches']} stretches between restarts"
     return text

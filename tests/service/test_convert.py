@@ -151,6 +151,17 @@ def test_bytes_of_another_device_are_refused(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "a.csv").exists()
 
 
+def test_frames_that_say_nothing_are_told_from_bytes_that_are_none(run: Run, shared_data: Path, tmp_path: Path) -> None:
+    """NovAtel's are for the splitter alone: they are counted, and there is no sample to convert."""
+    path = shared_data / "captures" / "novatel_rawimusx.hex"
+    assert run("replay", path, "--protocol", "novatel", "--json", tmp_path / "facts.json")[0] == 1
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert (facts["frames"], facts["samples"], facts["bytes_discarded"]) == (2, 0, 0)
+    code, _, err = run("convert", path, "--protocol", "novatel", "--out", tmp_path / "a.csv")
+    assert code == 2
+    assert "holds no samples to write" in err
+
+
 def test_replay_tells_the_skew_of_the_blocks_clock(run: Run, tmp_path: Path) -> None:
     path = capture_of(tmp_path / "line.cap", samples_at(200.0, 8000))
     assert run("replay", path, "--json", tmp_path / "facts.json")[0] == 0
