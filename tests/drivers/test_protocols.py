@@ -119,6 +119,24 @@ def test_a_clock_that_begins_anew_is_a_restart(case: Case) -> None:
     assert batch.samples["time"][1000] == pytest.approx(1 / case.rate_hz, abs=1e-4)
 
 
+CLOCKS = {"vectornav": (2**64, 1e-9), "mip": (2**64, 1e-9), "xsens": (2**32, 1e-4), "kvh1750": (2**32, 1e-6)}
+
+
+@pytest.mark.parametrize("case", [case for case in CLOCKED if CLOCKS[case.name][0] == 2**32], ids=str)
+@pytest.mark.parametrize("lost", [0, 3000])
+def test_a_clock_that_wraps_is_no_restart(case: Case, lost: int) -> None:
+    """Microseconds of 32 bits wrap every 71 minutes; frames lost around the wrap change nothing."""
+    modulus, tick_s = CLOCKS[case.name]
+    sent = moving_samples(2000 + lost, case.rate_hz)
+    sent["time"] += modulus * tick_s - 1000 / case.rate_hz
+    kept = [index for index in range(len(sent)) if not 990 <= index < 990 + lost]
+    frames = frames_of(case, sent)
+    batch, _ = decode(case, [frames[index] for index in kept], lambda place: 1.0 + kept[place] / case.rate_hz)
+    assert batch.restarts == []
+    assert sum(gap.frames for gap in batch.gaps) == lost
+    assert np.allclose(np.diff(batch.samples["time"]), np.diff(sent["time"][kept]), atol=2 * tick_s)
+
+
 CARRIED = {
     "stim300": Status.START_UP | Status.OVERLOAD | Status.OUT_OF_RANGE | Status.INTEGRITY | Status.INVALID_GYRO_Y,
     "kvh1750": Status.INVALID_GYRO_X | Status.INVALID_ACCEL_Y | Status.INVALID_ACCEL_Z,
