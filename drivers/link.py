@@ -309,6 +309,9 @@ class SerialLink:
             self._port = port
         self.reason = ""
         self._line = LinkState.SYNCING
+        with contextlib.suppress(LinkError):  # one that cannot be asked may yet be heard
+            for request in self.protocol.requests:
+                self.send(request)
         return True
 
     def _close(self) -> None:

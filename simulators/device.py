@@ -59,6 +59,7 @@ LOOK_AHEAD_S = 1.0
 ACCEL_RANGE_MPS2 = 30.0 * STANDARD_GRAVITY_MPS2
 GYRO_RANGE_RADPS = 400.0 * DEG
 RATES_HZ = (1.0, 10_000.0)
+LONGEST_REQUEST = 64
 
 
 class Outgoing(NamedTuple):
@@ -169,6 +170,10 @@ class Device:
             return
         for received in self._decoder.decode(self._splitter.feed(data, now_s)).messages:
             self._obey(received, now_s)
+        self._heard += data
+        for request, kind in self._protocol.requests.items():
+            self._asked += [kind] * self._heard.count(request)
+        self._heard = self._heard[self._heard.rfind(b"\r") + 1 :][-LONGEST_REQUEST:]
 
     def advance(self, now_s: float) -> list[Outgoing]:
         """Return the frames that are due by now, in order."""
@@ -182,7 +187,15 @@ class Device:
             self._announce_s = now_s + ANNOUNCE_S
             outgoing += [self._message(_Reply(self._identity(), 0, now_s))]
             outgoing += [self._message(_Reply(self._configuration(), 0, now_s))]
-        return outgoing + self._due_samples(now_s)
+        return outgoing + self._answered(self._due_samples(now_s), now_s)
+
+    def _answered(self, samples: list[Outgoing], now_s: float) -> list[Outgoing]:
+        """Put what was asked for by :attr:`Protocol.requests` in the place of samples, as devices do."""
+        known = {Identity: self._identity, Configuration: self._configuration}
+        for place, kind in zip(range(len(samples)), list(self._asked), strict=False):
+            samples[place] = self._message(_Reply(known[kind](), 0, now_s))
+            self._asked.remove(kind)
+        return samples
 
     def _speak_up(self, now_s: float) -> list[Outgoing]:
         """Begin to stream as devices do that take no commands, with what their frames can say of themselves first."""
@@ -228,6 +241,8 @@ class Device:
         self._splitter = Splitter(self._protocol, self._bit_rate)
         self._decoder = self._protocol.decoder()
         self._replies = []
+        self._heard = b""
+        self._asked: list[type] = []
         self._rate_hz = self._scenario.block.sample_rate_hz
         self._streaming = False
         self._switch_off()

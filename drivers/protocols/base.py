@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, overload
 
@@ -101,13 +101,15 @@ class Protocol(ABC):
     ``sync`` lists every byte pattern that a frame may begin with, ``longest`` is the greatest legal frame length
     [bytes], ``temperatures`` the number of temperature sensors in its samples, ``bit_rates`` what its devices are set
     to, the usual one first, ``checksum_bits`` how many bits prove a frame, and ``commands`` whether its devices are
-    told when to speak; others speak from power-up.
+    told when to speak; others speak from power-up. ``requests`` are bytes that make such a device say something of
+    itself, each with the message that it answers with; they are sent whenever a line has been opened.
     """
 
     name: ClassVar[str]
     bit_rates: ClassVar[tuple[int, ...]] = (921600,)
     checksum_bits: ClassVar[int] = 32
     commands: ClassVar[bool] = False
+    requests: ClassVar[Mapping[bytes, type]] = {}
     sync: tuple[bytes, ...]
     longest: int
     temperatures: int = 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
@@ -170,6 +170,7 @@ class Stim300(Protocol):
 
     name: ClassVar[str] = "stim300"
     bit_rates: ClassVar[tuple[int, ...]] = BIT_RATES
+    requests: ClassVar[Mapping[bytes, type]] = {b"C\r": Configuration, b"I\r": Identity}
     temperatures = TEMPERATURES
 
     def __init__(

@@ -15,7 +15,7 @@ from driver_bench import Cable, counting_samples, encoded, until
 
 from drivers.capture import CaptureWriter, replay
 from drivers.link import BATCH_S, LinkError, LinkState, SerialLink
-from drivers.messages import Start
+from drivers.messages import Configuration, Start
 from drivers.protocols import get_protocol
 from drivers.protocols.native import encode_message
 from drivers.samples import SampleArray
@@ -229,6 +229,31 @@ def test_sending_reaches_the_block_and_fails_by_name_when_it_cannot(cable: Cable
     until(lambda: link.state is LinkState.DISCONNECTED)
     with pytest.raises(LinkError, match="ttyINS: cannot send"):
         link.send(frame)
+
+
+@pytest.mark.parametrize(("name", "asked"), [("stim300", b"C\rI\r"), ("native", b""), ("kvh1750", b"")])
+def test_a_device_is_asked_how_it_is_set_whenever_the_line_is_opened(cable: Cable, name: str, asked: bytes) -> None:
+    with SerialLink(str(cable.path), get_protocol(name), timebase=Timebase(SPEED)) as link:
+        for openings in (1, 2):
+            until(lambda openings=openings: link.counters.openings == openings and open_link(link))  # type: ignore[misc]
+            got = bytearray()
+            until(lambda got=got: bool(got.extend(cable.read())) or bytes(got) == asked)  # type: ignore[misc]
+            time.sleep(0.02)
+            assert cable.read() == b""
+            cable.unplug()
+            cable.plug()
+
+
+def test_what_the_device_answers_is_believed_over_the_options(cable: Cable) -> None:
+    device, samples = get_protocol("stim300", accel_range_g=30, rate_hz=500), counting_samples(20)
+    samples["time"], samples["dv"] = (samples["sequence"] + 1) / 500, [0.0, 0.0, 9.81 / 500]
+    with SerialLink(str(cable.path), get_protocol("stim300"), timebase=Timebase(SPEED)) as link:
+        until(lambda: cable.read() != b"")
+        cable.write(
+            device.encode_message(Configuration(500.0, 921600, 0.0, 0.0, True)) + device.encode_samples(samples)
+        )
+        read = samples_of(collect(link, 20))
+    assert np.abs(read["dv"] - samples["dv"]).max() < 9.81 / 2**18
 
 
 def test_a_second_reader_is_kept_off_the_port(cable: Cable, link: SerialLink) -> None:

@@ -70,6 +70,29 @@ def test_a_simulated_stim300_says_how_it_is_set_before_it_streams() -> None:
     assert starting.sum() == pytest.approx(0.7 * 500, abs=2)
 
 
+def test_a_simulated_stim300_answers_in_the_place_of_a_datagram() -> None:
+    """Asked 2 s into its stream, in two pieces, by a host that opens the line late and believes in another range."""
+    sender, reader = get_protocol("stim300", accel_range_g=RANGE_G), get_protocol("stim300", accel_range_g=80)
+    device = Device(scenario_at(500.0), demo_model(1), sender, bit_rate=921_600, memory=TermMemory(), now_s=0.0)
+    decoder = StreamDecoder(reader, 1e9)
+    for turn in range(800):
+        now_s = turn / 200
+        outgoing = device.advance(now_s)
+        if now_s == 2.0:
+            device.receive(b"C\rI", now_s)
+            device.receive(b"\rSERVICEMODE", now_s)
+        for one in outgoing if now_s > 1.9 else []:
+            decoder.feed(one.data, now_s)
+    decoder.finish()
+    batch = decoder.take()
+    configuration, identity = [received.message for received in batch.messages]
+    assert isinstance(configuration, Configuration)
+    assert isinstance(identity, Identity)
+    assert sum(gap.frames for gap in batch.gaps) == 2
+    at_rest = np.linalg.norm(batch.samples["dv"][-100:].mean(axis=0)) * 500.0
+    assert at_rest == pytest.approx(9.8, abs=0.1)
+
+
 def test_what_cannot_be_impersonated_is_refused_before_anything_is_sent() -> None:
     protocol = get_protocol("stim300")
     with pytest.raises(DeviceError, match="do not fit"):
