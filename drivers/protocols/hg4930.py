@@ -44,8 +44,13 @@ LAYOUTS = {
     CONTROL: np.dtype([*_CONTROL, ("sum", "<u2")]),
     INERTIAL: np.dtype([*_CONTROL, ("dtheta", "<i4", (3,)), ("dv", "<i4", (3,)), ("sum", "<u2")]),
 }
-_IMU, _GYRO, _ACCEL = 0x0010, 0x0020, 0x0040
-_GYRO_VALIDITY = np.array([0x0100, 0x0200, 0x0400])
+# Polarity as in the parser that Honeywell gives out for its HGuide units: in word 1 failures of unit, gyros,
+# accelerometers, gyro test and unit test are set bits, and so is each gyro axis that is valid; in word 2 failures of
+# process, memory, electronics, gyros (two) and accelerometers are.
+_UNIT = 0x0010
+_FAILED = (0x80F0, 0x7D00)
+_CONTINUOUS_TEST = 0x0004
+_GYRO_VALID = np.array([0x0100, 0x0200, 0x0400])
 _TEMPERATURE_SHOWN = 0x8000
 
 
@@ -109,9 +114,10 @@ class Hg4930(Protocol):
             frames["dv"] = _limited(samples["dv"] / VELOCITY_LSB_MPS, 31)
             frames["dtheta"][starting] = frames["dv"][starting] = POWER_UP << 16 | POWER_UP
         slots = samples["sequence"].astype(np.int64) * (SLOTS if inertial else 1)
-        bad = (samples["status"][:, None] & GYRO_AXES) != 0
+        good = (samples["status"][:, None] & GYRO_AXES) == 0
         failed = (samples["status"] & Status.SELF_TEST_FAILED) != 0
-        frames["status"][:, 0] = slots % 4 + (bad * _GYRO_VALIDITY).sum(axis=1) + failed * _IMU
+        frames["status"][:, 0] = slots % 4 + (good * _GYRO_VALID).sum(axis=1) + failed * _UNIT
+        frames["status"][:, 0] += ~starting * np.uint16(_CONTINUOUS_TEST)
         celsius = np.clip(np.rint(np.nan_to_num(samples["temperature"][:, 0])), -128, 127).astype(np.int64)
         frames["status"][:, 1] = _TEMPERATURE_SHOWN | celsius & 0xFF
         octets = frames.view(np.uint8).reshape(len(frames), frames.dtype.itemsize)
@@ -161,7 +167,7 @@ class HgDecoder(Decoder):
         self._before = rows[-1].tobytes()
         starting = np.concatenate([frames["rate"], frames["accel"]], axis=1).view(np.uint16) == POWER_UP
         starting = starting.all(axis=1)
-        status = _conditions(frames["status"][:, 0].astype(np.int64)) | flags(starting, Status.START_UP)
+        status = _conditions(frames["status"].astype(np.int64)) | flags(starting, Status.START_UP)
         gyro, accel = frames["rate"] * RATE_LSB_RADPS, frames["accel"] * ACCEL_LSB_MPS2
         count = frames["status"][:, 0].astype(np.int64) % 4
         if self._inertial:
@@ -195,7 +201,7 @@ class HgDecoder(Decoder):
         return celsius
 
 
-def _conditions(word: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Return the named conditions of status word 1: a bit set is a fault."""
-    status = axis_flags((word[:, None] & _GYRO_VALIDITY) != 0, GYRO_AXES)
-    return status | flags((word & (_IMU | _GYRO | _ACCEL)) != 0, Status.SELF_TEST_FAILED)
+def _conditions(words: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Return the named conditions of both status words (n, 2)."""
+    status = axis_flags((words[:, :1] & _GYRO_VALID) == 0, GYRO_AXES)
+    return status | flags(((words & _FAILED) != 0).any(axis=1), Status.SELF_TEST_FAILED)

@@ -41,7 +41,7 @@ class Xsens(Protocol):
     message : what samples are made of where a message holds both, and what the encoder sends: incremental or rate.
     rate_hz : of the messages, checked against the host's clock; messages without sample time need it when there is
         no host's clock either.
-    self_test_bit : whether bit 0 of the status word means anything; the MTi-600 series leaves it 0.
+    self_test_bit : whether bit 0 of the status word means anything; the MTi-600 and MTi-1 series leave it 0.
 
     Raises
     ------

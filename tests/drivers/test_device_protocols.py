@@ -14,6 +14,7 @@ from drivers.messages import SelfTestResult
 from drivers.protocols import get_protocol
 from drivers.protocols.base import NOT_A_FRAME, ProtocolError
 from drivers.protocols.checksums import crc32_mpeg2, fletcher16
+from drivers.protocols.readings import GYRO_INVALID
 from drivers.protocols.vectornav import COMMON_SIZES, IMU_SIZES
 from drivers.samples import SampleArray, Status, intervals_s
 from drivers.stream import StreamDecoder
@@ -283,9 +284,10 @@ def test_xsens_extended_length_and_impossible_fields() -> None:
 # ------------------------------------------------------------------ HG4930
 
 
-def hg(kind: int, slot: int, fill: int | None = None, status: int = 0, word2: int = 0) -> bytes:
+def hg(kind: int, slot: int, status: int = 0, word2: int = 0, fill: int | None = None) -> bytes:
+    """Return a message of a healthy unit, but for the bits of ``status`` that are wrong in word 1."""
     sensors = [fill] * 6 if fill is not None else [1000, -2000, 3000, 100, -200, 300]
-    body = struct.pack("<BB6hHH", 0x0E, kind, *sensors, status | slot % 4, word2)
+    body = struct.pack("<BB6hHH", 0x0E, kind, *sensors, status ^ 0x0700 | slot % 4, word2)
     if kind == 2:
         wide = [fill << 16 | fill] * 6 if fill is not None else [2**20, -(2**21), 2**22, 2**16, -(2**17), 2**18]
         body += struct.pack("<6i", *wide)
@@ -313,7 +315,7 @@ def test_hg4930_scales() -> None:
 
 @pytest.mark.parametrize("message", ["inertial", "control"])
 def test_hg4930_power_up_pattern_is_start_up_and_no_reading(message: str) -> None:
-    frames = [hg(2 if slot % 6 == 5 else 1, slot, 0x5555 if slot < 240 else None) for slot in range(600)]
+    frames = [hg(2 if slot % 6 == 5 else 1, slot, fill=0x5555 if slot < 240 else None) for slot in range(600)]
     samples = decode(get_protocol("hg4930", message=message), frames, lambda index: 1 + index / 600)[0].samples
     starting = (samples["status"] & Status.START_UP) != 0
     assert starting.sum() == (40 if message == "inertial" else 240)
@@ -323,9 +325,12 @@ def test_hg4930_power_up_pattern_is_start_up_and_no_reading(message: str) -> Non
 
 
 def test_hg4930_status_bits_and_temperature() -> None:
-    frames = [hg(2, 6 * number, status=bits, word2=0x8000 | 0xF0) for number, bits in enumerate((0, 0x10, 0x200))]
+    """Bits 8 to 10 of word 1 say which gyros are valid; 4 to 7 and 15, and in word 2 all but 9, what has failed."""
+    words = [(0, 0), (0x10, 0), (0x200, 0), (0x8000, 0), (0, 0x4000), (0, 0x0200), (0x700, 0)]
+    frames = [hg(2, 6 * number, one, word2=two | 0x80F0) for number, (one, two) in enumerate(words)]
     samples = sampled(frames, "hg4930")
-    assert samples["status"].tolist() == [0, int(Status.SELF_TEST_FAILED), int(Status.INVALID_GYRO_Y)]
+    failed, gyros = int(Status.SELF_TEST_FAILED), int(GYRO_INVALID)
+    assert samples["status"].tolist() == [0, failed, int(Status.INVALID_GYRO_Y), failed, failed, 0, gyros]
     assert np.all(samples["temperature"] == -16)
 
 
