@@ -36,12 +36,12 @@ lint: $(READY)
 bench: $(PEERS)
 	$(BIN)/python -m benchmarks $(ARGS)
 
-# The peers that are measured against are for the benchmarks only.
+# The peers that are measured against, and the fuzzer, are for benchmarks and long tests only.
 $(PEERS): $(READY) requirements-bench.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
 	@touch $@
 
-long: $(READY)
+long: $(PEERS)
 	$(BIN)/python -m pytest -m long $(ARGS)
 
 # Pins every dependency, with hashes and without addresses, for all supported interpreters (needs `uv`).
