@@ -170,3 +170,25 @@ def test_random_bytes_hold_no_frames(name: str) -> None:
     # one has a frame by chance in 10,000 runs, before the fields of MTData2 are looked at.
     found, _ = split(random.Random(name).randbytes(200_000), get_protocol(name))
     assert found == []
+
+
+@every_case
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_a_line_pulled_at_any_byte_and_plugged_in_again_costs_the_frame_it_cut(case: Case, data: st.DataObject) -> None:
+    """What was half received is not completed by what comes later, wherever it was cut and wherever it goes on."""
+    frames, size = stream_of(str(case))[:60], len(stream_of(str(case))[0])
+    cut, on = sorted(data.draw(st.lists(st.integers(1, 60 * size - 1), min_size=2, max_size=2)))
+    stream, decoder = b"".join(frames), StreamDecoder(case.protocol, BIT_RATE)
+    decoder.opened(0.0)
+    decoder.feed(stream[:cut], 0.5)
+    decoder.opened(1.0)
+    for start in range(on, len(stream), size):
+        decoder.feed(stream[start : start + size], 1.0 + start / size / case.rate_hz)
+    decoder.finish()
+    before, behind = cut // size, -(-on // size)
+    trailer = size - len(bare(case, frames[:1])[0])  # a STIM300's CR LF may be cut off its datagram
+    before += trailer > 0 and cut % size >= size - trailer
+    assert decoder.counters.frames == before + 60 - behind
+    decoder.take()
+    assert decoder.counters.bytes_in == cut + 60 * size - on
