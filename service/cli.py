@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from service.commands import model
+from service.commands import audit, console, model, token
 from service.commands.align import align
 from service.commands.budget import budget
 from service.commands.calibrate import calibrate
@@ -46,7 +46,7 @@ USER_ERRORS = (
     ("service.errors", "RefusedInput"),
 )
 """What a user's input can raise, by module and name, so that nothing is imported for it."""
-FAILURES = (("service.demo", "DemoFailed"), ("service.processes", "ProcessFailed"))
+FAILURES = (("service.demo", "DemoFailed"), ("service.console.client", "ConsoleError"), ("service.processes", "ProcessFailed"))
 
 app = typer.Typer(
     name="inertrim",
@@ -62,7 +62,8 @@ COMMANDS = (
 )
 for command in COMMANDS:
     app.command()(command)
-app.add_typer(model.app, name="model")
+for name, group in (("model", model), ("token", token), ("audit", audit), ("console", console)):
+    app.add_typer(group.app, name=name)
 
 
 def _version(wanted: bool) -> None:

@@ -26,15 +26,12 @@ Progress = Callable[[float, str], None]
 
 MARGIN = 4.5
 """Bayes factor [nats] beyond the penalty of looking that a name must have."""
-EMPIRICAL_LEAD = 6.0
-"""By how much a curve without a name must beat every name [nats] for the verdict *unknown*."""
 TIE = 3.0
 """Names whose fit is within so many nats of the best are one answer."""
-MISFIT_SHARE = 0.03
-"""What is left of a named effect below this share of its evidence is its misfit, not another effect."""
 MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
+_SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class Scored:
     score: float
 
 
-@dataclass
+@dataclass(eq=False)
 class Adopted:
     """An adopted hypothesis with its rivals at the end, best first."""
 
@@ -70,6 +67,18 @@ class Search:
     def of_kind(self, kind: Kind) -> list[Adopted]:
         """Return what was adopted of one kind."""
         return [a for a in self.adopted if a.hypothesis.kind is kind]
+
+    def gains(self, hypothesis: Hypothesis) -> dict[str, float]:
+        """Return what one of the adopted gains [nats] by channel: what the others with it would lose without it."""
+        others = [a.hypothesis for a in self.adopted if a.hypothesis is not hypothesis]
+        fixed = [i for h in others if h.unit_amplitude for i in h.columns]
+        without = self.evidence.fit([i for h in others for i in h.columns], self.fit, fixed)
+        gains: dict[str, float] = {}
+        for slot in self.evidence.slots:
+            channel = CHANNELS[slot[1]]
+            change = self.evidence.slot_value(slot, self.fit) - self.evidence.slot_value(slot, without)
+            gains[channel] = gains.get(channel, 0.0) + max(change, 0.0)
+        return gains
 
 
 class Searcher:
@@ -94,7 +103,7 @@ class Searcher:
                 break
             adopted.append(best.hypothesis)
             current = best.fit
-            adopted, current = self._settle(adopted, current, bare)
+            adopted, current = self._polish(*self._settle(adopted, current))
         return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
 
     # one step ----------------------------------------------------------------------------------------------------
@@ -125,21 +134,33 @@ class Searcher:
                 return first
         return None
 
-    def rank(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
-        """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted."""
-        leaders = self._leaders(current, adopted)
+    def rank(self, current: Fit, adopted: Sequence[Hypothesis], least: float = -math.inf) -> list[Scored]:
+        """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted.
+
+        Those that even in quiet noise would score less than ``least``, or than the best of their kind, are left out.
+        """
         look = Look(self.evidence, current, self.quiet(current))
-        refined = [self._refine(h, current, look) if place < _REFINED else h for place, h in enumerate(leaders)]
-        scored = [s for h in refined for s in [self._score(h, current, adopted)] if s is not None]
+        scored: list[Scored] = []
+        best: dict[Kind, float] = {}
+        for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted)):
+            wanted = max(least, best.get(hypothesis.kind, -math.inf) - TIE)
+            if promise + max(_SLACK, 0.3 * promise) < wanted:
+                continue
+            refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
+            one = self._score(refined, current, adopted)
+            if one is not None:
+                scored.append(one)
+                best[hypothesis.kind] = max(best.get(hypothesis.kind, -math.inf), one.score)
         return sorted(scored, key=lambda s: -s.score)
 
-    def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[tuple[float, Hypothesis]]:
+        """Return what promises most, by the score that it would have if the noise were as it is, or quiet."""
         taken = {h.name for h in adopted if h.effect not in ("sinusoid", "bias_step")}
         quiet = self.quiet(current)
         late = self._late(current, quiet)
         pool = [h for h in self.library.hypotheses if h.name not in taken and max(h.columns) < self.evidence.base]
         pool += late
-        picked: dict[tuple[str, str], Hypothesis] = {}
+        picked: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
         for noise in (current.noise, quiet):
             look = Look(self.evidence, current, noise)
             gains = np.array([look.gain(h) for h in pool])
@@ -154,8 +175,9 @@ class Searcher:
                     continue
                 seen.add(h.name)
                 room[h.kind] -= 1
-                picked.setdefault(h.name, h)
-        return sorted(picked.values(), key=lambda h: h.kind is not Kind.NAMED)
+                if h.name not in picked or picked[h.name][0] < scores[place]:
+                    picked[h.name] = float(scores[place]), h
+        return sorted(picked.values(), key=lambda one: (one[1].kind is not Kind.NAMED, -one[0]))
 
     def quiet(self, current: Fit) -> dict[Slot, NoiseFit]:
         """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
@@ -209,9 +231,13 @@ class Searcher:
                 if name == "time_constant" and at > self.library.longest_s:
                     continue
                 trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, hypothesis.places)
-                gain = self._gain(trial, look)
-                if trial is not None and gain > value:
+                if trial is None:
+                    continue
+                gain = look.gain(trial)
+                if gain > value:
                     best, value = trial, gain
+                else:
+                    self.library.forget(trial)
             middle = best.shape[name]
             width *= 0.55
         return best
@@ -240,19 +266,13 @@ class Searcher:
                 late += self._step(slot, score, model) + self._lines(slot, score, model)
         return late
 
-    def remainder(self, slot: Slot, fit: Fit) -> Array:
-        """Return cosine coefficients (n,) of what a fit leaves in a slot."""
-        left = self.library.residual[slot].copy()
-        for i, amplitude in zip(fit.ids, fit.amplitude, strict=True):
-            part = self.library.columns[i].parts.get(slot)
-            if part is not None:
-                left -= amplitude * part
-        return left
-
     def _whitened_score(self, slot: Slot, fit: Fit, noise: dict[Slot, NoiseFit]) -> Array:
         """Return d ln L / d reading (n,): what any column's product with it says at once."""
         weight = np.repeat(1.0 / noise[slot].power, self.evidence.basis[slot].counts.astype(np.int64))
-        return np.asarray(idct(weight * self.remainder(slot, fit), norm="ortho")) / self.library.spread[slot]
+        return (
+            np.asarray(idct(weight * self.library.left(slot, fit.ids, fit.amplitude), norm="ortho"))
+            / self.library.spread[slot]
+        )
 
     def _step(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
         scene, n = self.library.scenes[slot[0]], len(score)
@@ -311,9 +331,8 @@ class Searcher:
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 
-    def _settle(self, adopted: list[Hypothesis], current: Fit, bare: Fit) -> tuple[list[Hypothesis], Fit]:
+    def _settle(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
         """Drop what the later ones have made needless."""
-        del bare
         changed = True
         while changed and len(adopted) > 1:
             changed = False
@@ -326,6 +345,22 @@ class Searcher:
                     break
         return adopted, current
 
+    def _polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
+        """Refine the shapes once more, each beside all others and in the noise that is left with all of them."""
+        for place, h in enumerate(adopted):
+            if h.kind is not Kind.NAMED or not (h.shape or h.chord):
+                continue
+            others = [i for other in adopted if other is not h for i in other.columns]
+            rest = replace(current, ids=tuple(i for i in current.ids if i in others or i in self.evidence.prior))
+            finer = self._refine(h, rest, Look(self.evidence, rest, current.noise))
+            if finer is h:
+                continue
+            trial = [*adopted[:place], finer, *adopted[place + 1 :]]
+            fit = self._fit_of(trial, current)
+            if fit.value > current.value:
+                adopted, current = trial, fit
+        return adopted, current
+
     def _with_rivals(self, adopted: list[Hypothesis], current: Fit) -> list[Adopted]:
         """Say for each what else could stand in its place, the others present."""
         out: list[Adopted] = []
@@ -336,7 +371,8 @@ class Searcher:
             own = self._score(h, without, rest)
             if own is None:
                 continue
-            ranked = [s for s in self.rank(without, rest) if s.hypothesis.name != h.name]
+            near = self.rank(without, rest, own.score - _SLACK)
+            ranked = [s for s in near if s.hypothesis.name != h.name]
             entry = Adopted(h, own.gain, own.score, rivals=ranked[:8])
             if h.kind is Kind.NAMED:
                 entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
+from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene, changed
 from simulators.discrepancy.referee import generic_columns
@@ -40,6 +41,8 @@ SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3, "
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
+TIMING_SIGMA_S = 1e-3
+"""How well a schedule is kept where nothing is said of it: as a whole, and each start and end of a turn."""
 
 
 class Kind(StrEnum):
@@ -55,6 +58,16 @@ class Column:
     """What one unit adds: the cosine coefficients of each slot it touches."""
 
     parts: Mapping[Slot, Array]
+
+
+@dataclass(frozen=True)
+class _TurnColumns:
+    """What errors of one turn, ``place`` among the motions, would add: start and end late [per s], angle [per rad]."""
+
+    place: int
+    turn: Turn
+    timing: list[Column]
+    angle: Column | None
 
 
 @dataclass(frozen=True)
@@ -88,10 +101,15 @@ def to_cosine(values: Array) -> Array:
 class Library:
     """All columns and hypotheses for some scenes."""
 
-    def __init__(self, scenes: Sequence[Scene], only: Collection[tuple[str, str]] | None = None) -> None:
-        """Gather everything, or ``only`` some effects on some channels, and then no reference and no curves."""
+    def __init__(
+        self, scenes: Sequence[Scene], only: Collection[tuple[str, str]] | None = None, *, plain: bool = False
+    ) -> None:
+        """Gather everything, or ``only`` some effects and curves on some channels and no errors of the reference.
+
+        ``plain``: one shape of each effect, and no curves.
+        """
         self.scenes = scenes
-        self._only = only
+        self._only, self._plain = only, plain
         self.residual: dict[Slot, Array] = {}
         self.spread: dict[Slot, Array] = {}
         """How much noisier each analysed sample is than those at rest."""
@@ -102,6 +120,8 @@ class Library:
                 self._gappy[s, c] = bool(scene.data.missing[:, c].any())
                 residual, spread = level_spread(scene, c)
                 self.residual[s, c], self.spread[s, c] = to_cosine(residual / spread), spread
+        self.closed = False
+        """Whether all is gathered: what comes after are trials, which are not kept."""
         self.columns: list[Column] = []
         self.hypotheses: list[Hypothesis] = []
         self.nuisance: list[tuple[int, float]] = []
@@ -109,24 +129,39 @@ class Library:
         for effect in effects().values():
             self._add_effect(effect)
         for index in range(len(scenes)):
-            self._add_nuisance(index)
+            turns = self._turn_columns(index)
+            self._add_nuisance(index, turns)
             if only is None:
-                self._add_reference(index)
-        if only is None:
+                self._add_reference(index, turns)
+        if not plain:
             for channel in range(len(CHANNELS)):
                 self._add_generic(channel)
 
+    def left(self, slot: Slot, ids: Sequence[int], amplitude: Array) -> Array:
+        """Return the cosine coefficients (n,) of the residual that columns of some amplitudes leave in a slot."""
+        left = self.residual[slot].copy()
+        for i, size in zip(ids, amplitude, strict=True):
+            part = self.columns[i].parts.get(slot)
+            if part is not None:
+                left -= size * part
+        return left
+
     def add_column(self, raw: Iterable[tuple[Slot, Array]]) -> int | None:
         """Keep a column given as rates (n,) by slot; none where it has nothing in it."""
+        column = self._column(raw)
+        return None if column is None else self._keep(column)
+
+    def _keep(self, column: Column) -> int:
+        self.columns.append(column)
+        return len(self.columns) - 1
+
+    def _column(self, raw: Iterable[tuple[Slot, Array]]) -> Column | None:
         parts = {}
         for (scene, channel), values in raw:
             largest = float(np.max(np.abs(values), initial=0.0))
             if largest > 1e-280 and np.all(np.isfinite(values)):
                 parts[scene, channel] = self._coefficients(scene, channel, values)
-        if not parts:
-            return None
-        self.columns.append(Column(parts))
-        return len(self.columns) - 1
+        return Column(parts) if parts else None
 
     def _coefficients(self, scene: int, channel: int, values: Array) -> Array:
         """Return a column's coefficients; channels whose samples are all equally good share it."""
@@ -134,7 +169,10 @@ class Library:
         key = (scene, -1 if plain else channel, hash(values.tobytes()))
         if key not in self._known:
             weighted = self.scenes[scene].analysed(values, channel) / self.spread[scene, channel]
-            self._known[key] = to_cosine(weighted)
+            coefficients = to_cosine(weighted)
+            if self.closed:
+                return coefficients
+            self._known[key] = coefficients
         return self._known[key]
 
     def add(
@@ -154,8 +192,14 @@ class Library:
         if not kept or (len(kept) < len(ids) and effect not in _SPARSE):
             return None
         hypothesis = Hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord)
-        self.hypotheses.append(hypothesis)
+        if not self.closed:
+            self.hypotheses.append(hypothesis)
         return hypothesis
+
+    def forget(self, hypothesis: Hypothesis) -> None:
+        """Let go of the columns of a trial that came to nothing."""
+        for i in hypothesis.columns:
+            self.columns[i] = Column({})
 
     def trial(self, effect: str, channel: str, shape: Mapping[str, float], places: float) -> Hypothesis | None:
         """Add one more shape of an effect on sensors."""
@@ -180,6 +224,8 @@ class Library:
         if isinstance(effect, (LinearEffect, SizeEffect, ThermalLag, SampleEffect)):
             for channel in self._wanted(effect):
                 shapes = self.shapes(effect, channel)
+                if self._plain:
+                    shapes = shapes[len(shapes) // 2 :][:1]
                 for shape in shapes:
                     places = max(float(len(shapes)), _PLACES.get(effect.name, 1.0))
                     self.trial(effect.name, channel, shape, places)
@@ -288,42 +334,49 @@ class Library:
                 raw[k].append(((s, on), columns[:, k]))
         return raw
 
-    def _add_reference(self, index: int) -> None:
+    def _turn_columns(self, index: int) -> list[_TurnColumns]:
+        """Return what errors of the first turns would add."""
         scene = self.scenes[index]
-        turns = scene.turns()[:MOST_TURNS]
+        found = []
+        for place, turn in scene.turns()[:MOST_TURNS]:
+            sooner, later = (_parts(index, scene, _with(scene.setup, place, m), TIME_S) for m in _shifted(turn))
+            radians = ANGLE * abs(turn.rate_radps * (turn.end_s - turn.start_s))
+            larger = _parts(index, scene, _with(scene.setup, place, _faster(turn)), radians)
+            timing = [column for raw in (sooner, later) if (column := self._column(raw)) is not None]
+            found.append(_TurnColumns(place, turn, timing, self._column(larger)))
+        return found
+
+    def _add_reference(self, index: int, turns: Sequence[_TurnColumns]) -> None:
+        """Errors that the reference does not admit to, of any size."""
         if not turns:
             return
-        timing: list[list[tuple[Slot, Array]]] = []
-        angle: list[list[tuple[Slot, Array]]] = []
+        scene = self.scenes[index]
         axis: list[list[tuple[Slot, Array]]] = []
-        for place, turn in turns:
-            size = ANGLE
-            later = replace(turn, end_s=turn.end_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, 0.0, TIME_S))
-            sooner = replace(turn, start_s=turn.start_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, TIME_S, 0.0))
-            faster = replace(turn, rate_radps=turn.rate_radps * (1.0 + size))
-            timing += [_parts(index, scene, _with(scene.setup, place, m), TIME_S) for m in (sooner, later)]
-            angle.append(_parts(index, scene, _with(scene.setup, place, faster), size))
-            unit = np.asarray(turn.axis) / np.linalg.norm(turn.axis)
+        for one in turns:
+            unit = np.asarray(one.turn.axis) / np.linalg.norm(one.turn.axis)
             across = np.cross(unit, np.eye(3)[int(np.argmin(np.abs(unit)))])
             across /= np.linalg.norm(across)
             for side in (across, np.cross(unit, across)):
-                x, y, z = (float(v) for v in unit + size * side)
-                axis.append(_parts(index, scene, _with(scene.setup, place, replace(turn, axis=(x, y, z))), size))
+                x, y, z = (float(v) for v in unit + ANGLE * side)
+                tipped = replace(one.turn, axis=(x, y, z))
+                axis.append(_parts(index, scene, _with(scene.setup, one.place, tipped), ANGLE))
         lever = [
             [((index, c), SizeEffect().regressors(scene.seen, CHANNELS[c], {})[:, k]) for c in range(3)]
             for k in range(3)
         ]
         where = f"recording {index + 1}" if len(self.scenes) > 1 else "all"
-        groups = {
-            name: [self.add_column(raw) for raw in columns]
-            for name, columns in (("timing", timing), ("angle", angle), ("axis", axis), ("lever", lever))
+        groups: dict[str, list[int | None]] = {
+            "timing": [self._keep(column) for one in turns for column in one.timing],
+            "angle": [self._keep(one.angle) for one in turns if one.angle is not None],
+            "axis": [self.add_column(raw) for raw in axis],
+            "lever": [self.add_column(raw) for raw in lever],
         }
         for name, parts in _REFERENCE.items():
             ids = tuple(i for part in parts for i in groups[part] if i is not None)
             if ids:
                 self.hypotheses.append(Hypothesis(Kind.REFERENCE, name, where, ids))
 
-    def _add_nuisance(self, index: int) -> None:
+    def _add_nuisance(self, index: int, turns: Sequence[_TurnColumns]) -> None:
         """What the reference itself is unsure of, by its own σ; what it does not give is free."""
         scene, reference = self.scenes[index], self.scenes[index].recording.meta.reference
         degree = math.radians(1.0)
@@ -335,13 +388,14 @@ class Library:
             rides = float(reference.level_frame == "body")
             for axis in range(2):
                 self._always(index, _tilted(scene, axis, rides), level * degree)
-        for place, turn in scene.turns()[:MOST_TURNS]:
-            sigma = scene.recording.meta.motion[_place_in_meta(scene, turn)].angle_sigma_deg  # type: ignore[union-attr]
-            if sigma:
-                whole = turn.rate_radps * (turn.end_s - turn.start_s)
-                faster = replace(turn, rate_radps=turn.rate_radps * (1.0 + ANGLE))
-                change = scene.predict(_with(scene.setup, place, faster)) - scene.predicted
-                self._always(index, change / (ANGLE * abs(whole)), sigma * degree)
+        if turns:
+            self._always(index, setup_difference(scene, "latency", "all", TIME_S) / TIME_S, TIMING_SIGMA_S)
+        for one in turns:
+            self.nuisance += [(self._keep(column), TIMING_SIGMA_S) for column in one.timing]
+            motion = scene.recording.meta.motion[_place_in_meta(scene, one.turn)]
+            sigma = motion.angle_sigma_deg if isinstance(motion, TurnMeta) else None
+            if sigma and one.angle is not None:
+                self.nuisance.append((self._keep(one.angle), sigma * degree))
 
     def _always(self, index: int, change: Array, sigma: float) -> None:
         column = self.add_column([((index, c), change[:, c]) for c in range(6)])
@@ -354,6 +408,8 @@ class Library:
             for name, values in generic_columns(scene, channel):
                 by_name.setdefault(name, []).append(((s, channel), values))
         for name, raw in by_name.items():
+            if self._only is not None and (name, CHANNELS[channel]) not in self._only:
+                continue
             self.add(Kind.EMPIRICAL, name, CHANNELS[channel], [raw])
 
 
@@ -368,6 +424,16 @@ _REFERENCE = {
     "lever_arm": ("lever",),
 }
 _PLACES = {"bias_step": 200.0}
+
+
+def _shifted(turn: Turn) -> tuple[Turn, Turn]:
+    """Return a turn that starts later, and one that ends later, of the same angle."""
+    sooner = replace(turn, start_s=turn.start_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, TIME_S, 0.0))
+    return sooner, replace(turn, end_s=turn.end_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, 0.0, TIME_S))
+
+
+def _faster(turn: Turn) -> Turn:
+    return replace(turn, rate_radps=turn.rate_radps * (1.0 + ANGLE))
 
 
 def _keep(turn: Turn, start_s: float, end_s: float) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from drivers.recording import Recording, RecordingError
 from inertial.documents import BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
-from simulators.discrepancy.repair import Repaired, fill, repair
+from simulators.discrepancy.repair import Gaps, Repaired, repair
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, Stage, values_of
 from simulators.motion import Setup, Trajectory, Turn, Vibration, vibration_mean_square
@@ -61,11 +62,15 @@ class Scene:
 
     def analysed(self, rates: Array, column: int) -> Array:
         """Return rates (n,) of a channel as they are analysed: without what was not measured, averaged in groups."""
-        filled = fill(rates, self.data.missing[:, column])
+        filled = self._gaps[column].fill(rates)
         if self.group == 1:
             return filled
         whole = len(filled) // self.group * self.group
         return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
+
+    @cached_property
+    def _gaps(self) -> tuple[Gaps, ...]:
+        return tuple(Gaps.of(missing) for missing in self.data.missing.T)
 
     @property
     def warm(self) -> bool:

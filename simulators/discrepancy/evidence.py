@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-11
 _MANY = 64
 _NOTHING = 1e-7  # share of a column's power
+_FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
 
 def bayes_factor(gain: float, count: int, places: float) -> float:
@@ -55,7 +56,7 @@ class Evidence:
 
     def __init__(self, library: Library) -> None:
         self.library = library
-        self.prior = dict(library.nuisance)
+        library.closed = True
         self.base = len(library.columns)
         self.basis: dict[Slot, Basis] = {}
         self.stated: dict[Slot, Array | None] = {}
@@ -67,11 +68,21 @@ class Evidence:
         self._extra: dict[tuple[Slot, int, int], Array] = {}
         for slot in library.residual:
             self._gather(slot)
+        self.prior = {i: sigma for i, sigma in library.nuisance if self._felt(i, sigma)}
+        self._always = tuple(self.prior)
+        self._steady: dict[Slot, tuple[Array, Array]] = {}
+        self._steady = {slot: self.products(slot, self._always) for slot in self.slots}
+        self._stacks: dict[Slot, tuple[tuple[int, ...], Array]] = {}
 
     @property
     def slots(self) -> list[Slot]:
         """Every scene and channel."""
         return list(self.basis)
+
+    def power(self, slot: Slot) -> Array:
+        """Return the noise power (bins,) that the model states, or the rounding of the frame where it states none."""
+        stated = self.stated[slot]
+        return self.floor[slot] if stated is None else stated
 
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]
@@ -104,17 +115,36 @@ class Evidence:
         self._with_residual[slot] = gram[:, 1:, 0]
         self._residual2[slot] = gram[:, 0, 0]
 
+    def _felt(self, column: int, sigma: float) -> bool:
+        """Whether an uncertainty of the reference is more than a tenth of σ of these data, taken all together."""
+        felt = 0.0
+        for slot, part in self.library.columns[column].parts.items():
+            basis, stated = self.basis[slot], self.stated[slot]
+            rss = self._residual2[slot]
+            power = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False).power
+            if stated is not None:
+                power = np.minimum(power, stated)
+            felt += float(np.sum(np.add.reduceat(part**2, basis.bounds[:-1]) / power))
+        return sigma**2 * felt > _FELT**2
+
     def products(self, slot: Slot, ids: Sequence[int]) -> tuple[Array, Array]:
         """Return Gram (bins, k, k) and products with the residual (bins, k) of columns in one slot."""
         bins, count = len(self.basis[slot].counts), len(ids)
-        local = self._local[slot]
+        local, first = self._local[slot], 0
         gram, with_residual = np.zeros((bins, count, count)), np.zeros((bins, count))
-        known = [(place, local[i]) for place, i in enumerate(ids) if i in local]
-        if known:
-            places, where = np.array([p for p, _ in known]), np.array([w for _, w in known])
-            gram[:, places[:, None], places] = self._gram[slot][:, where[:, None], where]
-            with_residual[:, places] = self._with_residual[slot][:, where]
-        for place, i in enumerate(ids):
+        if slot in self._steady and tuple(ids[: len(self._always)]) == self._always:
+            first = len(self._always)
+            gram[:, :first, :first], with_residual[:, :first] = self._steady[slot]
+        known = [place for place, i in enumerate(ids) if i in local]
+        where = np.array([local[ids[place]] for place in known], dtype=np.int64)
+        for place in range(first, count):
+            i = ids[place]
+            if i in local:
+                row = self._gram[slot][:, local[i]][:, where]
+                gram[:, place, known] = gram[:, known, place] = row
+                with_residual[:, place] = self._with_residual[slot][:, local[i]]
+        for place in range(first, count):
+            i = ids[place]
             if i < self.base:
                 continue
             with_residual[:, place] = self.product(slot, i, -1)
@@ -134,6 +164,14 @@ class Evidence:
             )
         return self._extra[key]
 
+    def stack(self, slot: Slot) -> tuple[tuple[int, ...], Array]:
+        """Return which of the columns always in the fit touch a slot, and their coefficients (n, k), side by side."""
+        if slot not in self._stacks:
+            ids = tuple(i for i in self._always if slot in self.library.columns[i].parts)
+            parts = [self.library.columns[i].parts[slot] for i in ids]
+            self._stacks[slot] = ids, np.column_stack(parts) if parts else np.zeros((self.basis[slot].n, 0))
+        return self._stacks[slot]
+
     def local(self, slot: Slot) -> dict[int, int]:
         """Return the places of the library's first columns within a slot."""
         return self._local[slot]
@@ -141,6 +179,21 @@ class Evidence:
     def weighted(self, slot: Slot, weight: Array) -> tuple[Array, Array]:
         """Return Gram and products with the residual of a slot's first columns, summed over bins with a weight."""
         return np.tensordot(weight, self._gram[slot], 1), weight @ self._with_residual[slot]
+
+    def information(self, power: Mapping[Slot, Array]) -> Array:
+        """Return the Fisher information (k, k) of the library's first columns beyond what is always in the fit."""
+        whole = np.zeros((self.base, self.base))
+        for slot in self.slots:
+            ids = np.array(list(self._local[slot]), dtype=np.int64)
+            where = np.array(list(self._local[slot].values()), dtype=np.int64)
+            gram = np.tensordot(1.0 / power[slot], self._gram[slot], 1)
+            whole[np.ix_(ids, ids)] += gram[np.ix_(where, where)]
+        always = list(self._always)
+        if not always:
+            return whole
+        known = whole[np.ix_(always, always)] + np.diag([1.0 / self.prior[i] ** 2 for i in always])
+        across = whole[:, always]
+        return np.asarray(whole - across @ np.linalg.solve(known, across.T))
 
     def touched(self, ids: Sequence[int]) -> set[Slot]:
         """Return the slots that columns act on."""
@@ -199,6 +252,10 @@ class Evidence:
         left = self._residual2[slot] - 2.0 * with_residual @ amplitude + (gram @ amplitude) @ amplitude
         return np.asarray(np.maximum(left, 1e-12 * self._residual2[slot]))
 
+    def slot_value(self, slot: Slot, fit: Fit) -> float:
+        """Return the log-likelihood [nats] of one slot, less the penalty of its noise."""
+        return self._value(slot, fit.rss[slot], fit.noise[slot])
+
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
         penalty = noise.penalty
         return float(-0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)) - penalty
@@ -243,6 +300,8 @@ class Look:
         self._inverse = np.linalg.inv(unit) / np.outer(scale, scale) if k else unit
         self._amplitude = self._inverse @ right
         self._weighted: dict[Slot, tuple[Array, Array]] = {}
+        self._each: dict[Slot, Array] = {}
+        self._among: dict[Slot, tuple[list[int], list[int]]] = {}
 
     def gain(self, hypothesis: Hypothesis) -> float:
         """Return by how much a hypothesis raises the log-likelihood [nats]."""
@@ -269,23 +328,43 @@ class Look:
         for slot in evidence.touched(ids):
             local = evidence.local(slot)
             weight = self._weight[slot]
-            if any(i not in local for i in ids):
-                gram, with_residual = evidence.products(slot, [*ids, *self.active])
-                whole = np.tensordot(weight, gram[:, :k], 1)
-                own += whole[:, :k]
-                cross += whole[:, k:]
-                score += weight @ with_residual[:, :k]
+            if any(i >= evidence.base for i in ids):
+                self._add_late(slot, ids, own, score, cross)
                 continue
             if slot not in self._weighted:
                 self._weighted[slot] = evidence.weighted(slot, weight)
+                here = [place for place, i in enumerate(self.active) if i in local]
+                self._among[slot] = here, [local[self.active[place]] for place in here]
             gram2, with_residual1 = self._weighted[slot]
-            where = [local[i] for i in ids]
-            own += gram2[where][:, where]
-            score += with_residual1[where]
+            mine = [p for p, i in enumerate(ids) if i in local]
+            where = [local[ids[p]] for p in mine]
+            own[np.ix_(mine, mine)] += gram2[where][:, where]
+            score[mine] += with_residual1[where]
+            here, there = self._among[slot]
+            cross[np.ix_(mine, here)] += gram2[np.ix_(where, there)]
             for column, i in enumerate(self.active):
-                if i in local:
-                    cross[:, column] += gram2[where, local[i]]
-                elif i >= evidence.base:
+                if i >= evidence.base:
                     for p, j in enumerate(ids):
                         cross[p, column] += float(weight @ evidence.product(slot, i, j))
         return own, score, cross
+
+    def _add_late(self, slot: Slot, ids: Sequence[int], own: Array, score: Array, cross: Array) -> None:
+        """Add one slot's share of columns that came after the library's, without any binning."""
+        columns = self.evidence.library.columns
+        mine = np.zeros((self.evidence.basis[slot].n, len(ids)))
+        for place, i in enumerate(ids):
+            if slot in columns[i].parts:
+                mine[:, place] = columns[i].parts[slot]
+        if slot not in self._each:
+            counts = self.evidence.basis[slot].counts.astype(np.int64)
+            self._each[slot] = np.repeat(self._weight[slot], counts)
+        weighted = mine * self._each[slot][:, None]
+        own += mine.T @ weighted
+        score += weighted.T @ self.evidence.library.residual[slot]
+        known, stack = self.evidence.stack(slot)
+        together = weighted.T @ stack
+        for place, i in enumerate(self.active):
+            if i in known:
+                cross[:, place] += together[:, known.index(i)]
+            elif slot in columns[i].parts:
+                cross[:, place] += weighted.T @ columns[i].parts[slot]

@@ -80,11 +80,7 @@ def where(search: Search) -> list[dict[str, Any]]:
         )
         rows = {}
         for name, fit in (("before", search.bare), ("after", search.fit)):
-            left = library.residual[s, c].copy()
-            for i, amplitude in zip(fit.ids, fit.amplitude, strict=True):
-                part = library.columns[i].parts.get((s, c))
-                if part is not None:
-                    left -= amplitude * part
+            left = library.left((s, c), fit.ids, fit.amplitude)
             rows[name] = np.asarray(idct(weight * left, norm="ortho"))
         n = len(weight)
         edges = np.linspace(0, n, _SEGMENTS + 1).astype(int)

@@ -1,7 +1,12 @@
-"""Prediction of data that a fit did not see: short blocks of the record, held out in turns, at one noise model."""
+"""Prediction of data that a fit did not see: short blocks of the record, held out in turns.
+
+For each quarter that is held out, amplitudes and noise are fitted on the other three together, and that noise whitens
+what is held out, before and after.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,20 +16,27 @@ from scipy.fft import dct, idct
 
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.whitening import Basis, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
 
 FOLDS = 4
 _BLOCK_S = 4.0
+_ROUNDS = 2  # of amplitudes and noise
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """Whitened squares on blocks that the fit did not see, by slot: without and with the columns, and how many."""
+class Gap:
+    """Whitened squares on blocks that the fit did not see, by slot: without and with some columns, and how many."""
 
     before: dict[Slot, float]
     after: dict[Slot, float]
     count: dict[Slot, int]
+
+    @property
+    def gained(self) -> float:
+        """By how much χ² falls where nothing was fitted."""
+        return sum(self.before.values()) - sum(self.after.values())
 
     def rms(self, slots: Sequence[Slot]) -> tuple[float, float]:
         """Return the whitened RMS over slots, before and after; noise alone gives 1."""
@@ -35,34 +47,47 @@ class HeldOut:
         )
 
 
-def held_out(evidence: Evidence, fit: Fit, without: Sequence[int] = ()) -> HeldOut:
-    """Fit amplitudes on three quarters of the blocks and predict the fourth, in turns.
+class HeldOut:
+    """All that the columns of one fit have to say on blocks held out, gathered once."""
 
-    ``without`` are columns of the fit that stand for the state *before*; none: all that is not nuisance.
-    """
-    prior = evidence.prior
-    tried = list(without) or [i for i in fit.ids if i not in prior]
-    k = len(fit.ids)
-    blocks = {slot: _blocks(evidence, fit, slot) for slot in evidence.slots}
-    before = dict.fromkeys(evidence.slots, 0.0)
-    after, count = dict(before), dict.fromkeys(evidence.slots, 0)
-    keep = [p for p, i in enumerate(fit.ids) if i not in tried]
-    for fold in range(FOLDS):
-        matrix = np.diag([1.0 / prior[i] ** 2 if i in prior else 0.0 for i in fit.ids])
-        right = np.zeros(k)
-        for columns, residual, place in blocks.values():
-            seen = place % FOLDS != fold
-            matrix += np.tensordot(columns[seen], columns[seen], ((0, 1), (0, 1)))
-            right += np.tensordot(columns[seen], residual[seen], ((0, 1), (0, 1)))
-        full = _solve(matrix, right)
-        some = np.zeros(k)
-        some[keep] = _solve(matrix[np.ix_(keep, keep)], right[keep])
-        for slot, (columns, residual, place) in blocks.items():
-            unseen = place % FOLDS == fold
-            before[slot] += float(np.sum((residual[unseen] - columns[unseen] @ some) ** 2))
-            after[slot] += float(np.sum((residual[unseen] - columns[unseen] @ full) ** 2))
-            count[slot] += int(residual[unseen].size)
-    return HeldOut(before, after, count)
+    def __init__(self, evidence: Evidence, fit: Fit) -> None:
+        self._ids, self._prior = fit.ids, evidence.prior
+        self._steady = np.diag([1.0 / self._prior[i] ** 2 if i in self._prior else 0.0 for i in fit.ids])
+        self._blocks = {slot: _Blocks.of(evidence, fit, slot) for slot in evidence.slots}
+        self._weights: list[dict[Slot, Array]] = []
+        self._normal: list[tuple[Array, Array]] = []
+        for fold in range(FOLDS):
+            weights = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
+            for _ in range(_ROUNDS):
+                amplitude = _solve(*self._training(weights, fold))
+                weights = {slot: 1.0 / one.noise(amplitude, fold) for slot, one in self._blocks.items()}
+            self._weights.append(weights)
+            self._normal.append(self._training(weights, fold))
+
+    def _training(self, weights: dict[Slot, Array], fold: int) -> tuple[Array, Array]:
+        matrix, right = self._steady.copy(), np.zeros(len(self._ids))
+        others = [f for f in range(FOLDS) if f != fold]
+        for slot, one in self._blocks.items():
+            place = one.place
+            matrix[np.ix_(place, place)] += np.tensordot(weights[slot], one.gram[others].sum(axis=0), 1)
+            right[place] += weights[slot] @ one.cross[others].sum(axis=0)
+        return matrix, right
+
+    def gap(self, without: Sequence[int] = ()) -> Gap:
+        """Return the gap before and after; before, the columns ``without`` are not there; none: all but priors."""
+        tried = list(without) or [i for i in self._ids if i not in self._prior]
+        keep = [p for p, i in enumerate(self._ids) if i not in tried]
+        before, after = dict.fromkeys(self._blocks, 0.0), dict.fromkeys(self._blocks, 0.0)
+        count = dict.fromkeys(self._blocks, 0)
+        for fold, (matrix, right) in enumerate(self._normal):
+            full, some = _solve(matrix, right), np.zeros(len(right))
+            some[keep] = _solve(matrix[np.ix_(keep, keep)], right[keep])
+            for slot, one in self._blocks.items():
+                weight = self._weights[fold][slot]
+                before[slot] += float(weight @ one.left(some, [fold]))
+                after[slot] += float(weight @ one.left(full, [fold]))
+                count[slot] += int(one.counts[fold]) * one.basis.n
+        return Gap(before, after, count)
 
 
 def _solve(matrix: Array, right: Array) -> Array:
@@ -74,25 +99,72 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(unit, right / scale) / scale)
 
 
-def _blocks(evidence: Evidence, fit: Fit, slot: Slot) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return whitened columns (blocks, length, k), residual (blocks, length) and the blocks' order."""
-    basis = evidence.basis[slot]
-    length = max(8, min(round(_BLOCK_S / basis.interval_s), basis.n // (4 * FOLDS)))
-    count = basis.n // length
-    frequency = np.maximum(np.arange(length), 0.5) / (2.0 * length * basis.interval_s)
-    own = np.maximum(basis.frequency_hz, 0.5 / (2.0 * basis.n * basis.interval_s))
-    sigma = np.sqrt(np.interp(frequency, own, fit.noise[slot].power))
+@dataclass(frozen=True)
+class _Blocks:
+    """One slot cut to blocks: inner products of cosine coefficients by fold and bin of frequency.
 
-    def cut(coefficients: Array) -> Array:
-        values = idct(coefficients, norm="ortho")[: count * length].reshape(count, length)
-        return np.asarray(dct(values, axis=1, norm="ortho") / sigma)
+    Of the k columns that touch the slot, at ``place`` among the fit's: ``gram`` (folds, bins, k, k), ``cross`` (folds,
+    bins, k) with the residual, ``squares`` (folds, bins) of the residual; ``counts`` (folds,) of blocks. ``power``
+    (bins,) is the noise to begin with, ``floor`` (bins,) what it never undercuts.
+    """
 
-    library = evidence.library
-    columns = np.zeros((count, length, len(fit.ids)))
-    for place, i in enumerate(fit.ids):
-        part = library.columns[i].parts.get(slot)
-        if part is not None:
-            columns[:, :, place] = cut(part)
-    # blocks in an order that repeats with no motion: multiplication by a number prime to the count
-    order = (np.arange(count) * 7 + np.arange(count) // 5) % FOLDS
-    return columns, cut(library.residual[slot]), order.astype(np.int64)
+    basis: Basis
+    place: NDArray[np.int64]
+    gram: Array
+    cross: Array
+    squares: Array
+    counts: NDArray[np.int64]
+    power: Array
+    floor: Array
+
+    @classmethod
+    def of(cls, evidence: Evidence, fit: Fit, slot: Slot) -> _Blocks:
+        """Gather the products of one slot."""
+        whole, library = evidence.basis[slot], evidence.library
+        length = max(8, min(round(_BLOCK_S / whole.interval_s), whole.n // (4 * FOLDS)))
+        count, basis = whole.n // length, cosine_basis(length, whole.interval_s)
+        place = np.array([p for p, i in enumerate(fit.ids) if slot in library.columns[i].parts], dtype=np.int64)
+        parts = [library.residual[slot], *(library.columns[fit.ids[p]].parts[slot] for p in place)]
+        cut = np.stack([_cut(part, count, length) for part in parts], axis=2)
+        # an order that repeats with no motion
+        order = (np.arange(count) * 7 + np.arange(count) // 5) % FOLDS
+        products = np.zeros((FOLDS, len(basis.counts), len(parts), len(parts)))
+        for fold in range(FOLDS):
+            mine = cut[order == fold]
+            for b, (first, end) in enumerate(itertools.pairwise(basis.bounds)):
+                rows = mine[:, first:end].reshape(-1, len(parts))
+                products[fold, b] = rows.T @ rows
+        own = np.maximum(whole.frequency_hz, 0.5 / (2.0 * whole.n * whole.interval_s))
+        frequency = np.maximum(basis.frequency_hz, 0.5 / (2.0 * length * whole.interval_s))
+        return cls(
+            basis,
+            place,
+            products[:, :, 1:, 1:],
+            products[:, :, 1:, 0],
+            products[:, :, 0, 0],
+            np.bincount(order, minlength=FOLDS),
+            np.interp(frequency, own, fit.noise[slot].power),
+            np.interp(frequency, own, evidence.floor[slot]),
+        )
+
+    def left(self, amplitude: Array, folds: Sequence[int]) -> Array:
+        """Return the sums of squares (bins,) that amplitudes of all the fit's columns leave in some folds."""
+        mine = amplitude[self.place]
+        gram, cross = self.gram[folds].sum(axis=0), self.cross[folds].sum(axis=0)
+        squares = self.squares[folds].sum(axis=0)
+        return np.asarray(np.maximum(squares - 2.0 * cross @ mine + (gram @ mine) @ mine, 1e-12 * squares))
+
+    def noise(self, amplitude: Array, fold: int) -> Array:
+        """Return the noise power (bins,) that the blocks not held out have."""
+        others = [f for f in range(FOLDS) if f != fold]
+        rss, count = self.left(amplitude, others), int(self.counts[others].sum())
+        power = fit_noise(self.basis, rss, self.basis.counts * count, None, self.floor).power.copy()
+        # A block's mean wanders with all the record, which no noise of the block's own length tells.
+        power[0] = max(power[0], float(rss[0]) / count)
+        return power
+
+
+def _cut(coefficients: Array, count: int, length: int) -> Array:
+    """Return the cosine coefficients (count, length) of blocks of a column given by those of the whole."""
+    values = idct(coefficients, norm="ortho")[: count * length].reshape(count, length)
+    return np.asarray(dct(values, axis=1, norm="ortho"))

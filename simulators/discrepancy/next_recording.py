@@ -1,7 +1,8 @@
 """Which recording to make next: of those a launcher or a table could make, the one that splits names best.
 
 For each, the model predicts what the leading name would add and how well its rival could imitate that; half the squared
-whitened distance left is the evidence [nats] to be expected.
+whitened distance left is the evidence [nats] to be expected. Where nothing was found, the same is asked of every effect
+of the library at the least of its typical sizes: which of them could hide in these data, and where would they show?
 """
 
 from __future__ import annotations
@@ -17,23 +18,31 @@ from drivers.recording import Recording
 from drivers.recording_meta import MotionMeta, TurnMeta, VibrationMeta
 from drivers.samples import empty_samples
 from inertial.documents import CHANNELS, BlockModel, ChannelNoise, Noise
-from simulators.discrepancy.candidates import Hypothesis, Kind, Library
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.effects import effects, get_effect
+from simulators.effects.base import Effect, LinearEffect, Stage
+from simulators.effects.size_effect import SizeEffect
+from simulators.effects.thermal_lag import ThermalLag
 
 Array = NDArray[np.float64]
 
 RATE_HZ = 5.0
 REST_S = 1200.0
 MOVED_S = 300.0
+HIDDEN_NATS = 12.0
+"""Evidence below which an effect may be there unseen: margin, Occam factor and places looked at, together."""
+_MOST_NATS = 50.0  # beyond which more evidence tells nothing more
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A recording and the evidence [nats] to be expected from it between two names."""
+    """A recording, what it would tell about, and the evidence [nats] to be expected from it."""
 
     name: str
     text: str
+    about: str
     expected_nats: float
 
 
@@ -95,11 +104,67 @@ def propose(evidence: Evidence, fit: Fit, leader: Hypothesis, rivals: Sequence[H
     scene = evidence.library.scenes[0]
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
     amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
+    about = f"{leader.effect} on {leader.channel}"
     proposals = []
     for plan in PLANS:
         nats = _expected(_imagined(scene, model, plan), leader, amplitude, rivals)
-        proposals.append(Proposal(plan.name, plan.text, nats))
+        proposals.append(Proposal(plan.name, plan.text, about, nats))
     return sorted(proposals, key=lambda p: -p.expected_nats)
+
+
+def propose_longer(evidence: Evidence, term: str, channel: str, nats: float) -> Proposal:
+    """Return the recording for noise or lines without a name: evidence on them grows with the time at rest."""
+    scene = evidence.library.scenes[0]
+    longer = REST_S / float(scene.data.edges_s[-1] - scene.data.edges_s[0])
+    rest = PLANS[0]
+    return Proposal(rest.name, rest.text, f"{term} on {channel}", nats * longer)
+
+
+def propose_unseen(evidence: Evidence, fit: Fit) -> list[Proposal]:
+    """Return the recordings that would show most of the effects that could hide in these data, the best first."""
+    scene = evidence.library.scenes[0]
+    power = {slot: fit.noise[slot].power for slot in evidence.slots}
+    seen = _visible(evidence, power)
+    wanted = {(e.name, c) for e in effects().values() for c in e.channel_names() if _least(e, c) is not None}
+    hidden = {name for name in wanted if seen.get(name, 0.0) < HIDDEN_NATS}
+    model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
+    proposals: list[tuple[float, Proposal]] = []
+    for plan in PLANS:
+        imagined = Evidence(Library([_imagined(scene, model, plan)], only=hidden, plain=True))
+        shown = _visible(imagined, {slot: imagined.power(slot) for slot in imagined.slots})
+        if not shown:
+            continue
+        effect, channel = max(shown, key=lambda name: shown[name])
+        total = sum(min(nats, _MOST_NATS) for nats in shown.values())
+        count = sum(nats >= HIDDEN_NATS for nats in shown.values())
+        about = f"{effect} on {channel}" + (f" and {count - 1} more that could hide here" if count > 1 else "")
+        proposals.append((total, Proposal(plan.name, plan.text, about, shown[effect, channel])))
+    return [proposal for _, proposal in sorted(proposals, key=lambda one: -one[0])]
+
+
+def _visible(evidence: Evidence, power: dict[Slot, Array]) -> dict[tuple[str, str], float]:
+    """Return the evidence [nats] that each effect would give at the least of its typical sizes, at its plainest shape.
+
+    What the reference may be off is left to it.
+    """
+    shown: dict[tuple[str, str], float] = {}
+    information = evidence.information(power)
+    for h in evidence.library.hypotheses:
+        size = _least(get_effect(h.effect), h.channel) if h.kind is Kind.NAMED else None
+        if size is not None and not h.unit_amplitude:
+            own = float(np.mean(np.diag(information)[list(h.columns)]))
+            shown[h.name] = max(shown.get(h.name, 0.0), 0.5 * size**2 * own)
+    return shown
+
+
+def _least(effect: Effect, channel: str) -> float | None:
+    """Return the least typical size [SI] of an effect's first parameter, none where it is a shape or has none."""
+    if not isinstance(effect, LinearEffect | SizeEffect | ThermalLag) and effect.stage is not Stage.SETUP:
+        return None
+    parameter = effect.parameters[0]
+    kind = "accel" if channel.startswith("accel") else "gyro"
+    span = parameter.typical.get(kind, parameter.typical.get("any"))
+    return None if span is None else span.low
 
 
 def _noise(evidence: Evidence, fit: Fit) -> Noise:
@@ -132,14 +197,15 @@ def _expected(scene: Scene, leader: Hypothesis, amplitude: Array, rivals: Sequen
     names = {leader.name, *(r.name for r in rivals)}
     library = Library([scene], only=names)
     evidence = Evidence(library)
-    own = [h for h in library.hypotheses if h.kind is Kind.NAMED and h.name == leader.name]
+    own = [h for h in library.hypotheses if h.name == leader.name]
     if not own:
         return 0.0
     wanted = min(own, key=lambda h: _shape_distance(h, leader))
     least = np.inf
     others = [h for h in library.hypotheses if h.name in {r.name for r in rivals} and h.name != leader.name]
+    power = {slot: evidence.power(slot) for slot in evidence.slots}
     for other in [None, *others]:
-        least = min(least, _distance(evidence, wanted, amplitude[: len(wanted.columns)], other))
+        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], other))
     return float(least)
 
 
@@ -150,15 +216,16 @@ def _shape_distance(one: Hypothesis, two: Hypothesis) -> float:
     return near
 
 
-def _distance(evidence: Evidence, wanted: Hypothesis, amplitude: Array, other: Hypothesis | None) -> float:
+def _distance(
+    evidence: Evidence, power: dict[Slot, Array], wanted: Hypothesis, amplitude: Array, other: Hypothesis | None
+) -> float:
     """Return half the squared whitened length of what ``wanted`` adds and neither nuisance nor ``other`` imitates."""
     ids = [*wanted.columns, *evidence.prior, *(other.columns if other is not None else ())]
     k = len(wanted.columns)
     matrix = np.zeros((len(ids), len(ids)))
     for slot in evidence.slots:
-        stated = evidence.stated[slot]
         gram, _ = evidence.products(slot, ids)
-        matrix += np.tensordot(1.0 / (stated if stated is not None else evidence.floor[slot]), gram, 1)
+        matrix += np.tensordot(1.0 / power[slot], gram, 1)
     for place, i in enumerate(ids):
         if i in evidence.prior:
             matrix[place, place] += 1.0 / evidence.prior[i] ** 2

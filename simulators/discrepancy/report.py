@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,11 @@ from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.gap import navigation_gap, rms, where
-from simulators.discrepancy.heldout import held_out
-from simulators.discrepancy.next_recording import propose
+from simulators.discrepancy.heldout import HeldOut
+from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
 from simulators.discrepancy.parameters import parameters_of
+from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
 from simulators.discrepancy.words import in_words
@@ -83,14 +84,19 @@ def discrepancy(
     tell(0.02, "predicting")
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
-    scenes = [replace(scene, measured=mend(scene.measured, mistakes)) for scene in raw] if mistakes else raw
+    mended = [replace(scene, measured=mend(scene.measured, mistakes)) for scene in raw] if mistakes else raw
+    scenes, stuck = [], []
+    for scene in mended:
+        free, standing = find_stuck(scene)
+        scenes.append(free)
+        stuck += standing
     tell(0.1, "listing what could explain")
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)
     search = Searcher(evidence, tell).run()
     tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes)
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -104,16 +110,18 @@ def _report(
     scenes: list[Scene],
     search: Search,
     mistakes: list[Mistake],
+    stuck: list[Stuck],
 ) -> Report:
     evidence = search.evidence
-    whole = held_out(evidence, search.fit)
-    named, rejected = _kept(search, evidence)
+    held = HeldOut(evidence, search.fit)
+    whole = held.gap()
+    named, rejected = _kept(search, held)
     noise, other_noise = name_noise(evidence, search.fit)
     unexplained = judge(search, named, other_noise)
-    named = [a for a in named if a not in unexplained.withdrawn]
+    named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     findings = [_wiring_finding(m, search) for m in mistakes]
-    findings += _repair_findings(scenes)
-    findings += sorted((_finding(a, search, evidence) for a in named), key=lambda f: -f["evidence_nats"])
+    findings += _repair_findings(scenes, stuck)
+    findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     findings += [_noise_finding(n, search) for n in noise]
     verdict = "none"
     if unexplained.terms:
@@ -155,12 +163,11 @@ def _report(
     return Report(document, child, tuple(scenes), search)
 
 
-def _kept(search: Search, evidence: Evidence) -> tuple[list[Adopted], list[dict[str, Any]]]:
+def _kept(search: Search, held: HeldOut) -> tuple[list[Adopted], list[dict[str, Any]]]:
     """Keep the names that predict what their fit did not see; say of the others why not."""
     named, rejected = [], []
     for adopted in search.of_kind(Kind.NAMED):
-        held = held_out(evidence, search.fit, adopted.hypothesis.columns)
-        gained = sum(held.before.values()) - sum(held.after.values())
+        gained = held.gap(adopted.hypothesis.columns).gained
         if gained > 0.0 or adopted.hypothesis.unit_amplitude:
             named.append(adopted)
         else:
@@ -170,13 +177,12 @@ def _kept(search: Search, evidence: Evidence) -> tuple[list[Adopted], list[dict[
     return named, rejected
 
 
-def _finding(adopted: Adopted, search: Search, evidence: Evidence) -> dict[str, Any]:
-    h = adopted.hypothesis
+def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
+    h, evidence = adopted.hypothesis, search.evidence
     everything = [a.hypothesis for a in search.adopted]
     values = parameters_of(evidence, h, everything, search.fit)
     slots = sorted(evidence.touched(h.columns))
-    held = held_out(evidence, search.fit, h.columns)
-    before, after = held.rms(slots)
+    before, after = held.gap(h.columns).rms(slots)
     without = [x for other in everything if other is not h for x in other.columns]
     rest = evidence.fit(
         without, search.fit, [x for o in everything if o.unit_amplitude and o is not h for x in o.columns]
@@ -247,7 +253,7 @@ def _wiring_finding(mistake: Mistake, search: Search) -> dict[str, Any]:
     return finding
 
 
-def _repair_findings(scenes: list[Scene]) -> list[dict[str, Any]]:
+def _repair_findings(scenes: list[Scene], stuck: list[Stuck]) -> list[dict[str, Any]]:
     findings = []
     frames = sum(len(scene.time_s) for scene in scenes)
     lost = sum(scene.data.lost for scene in scenes)
@@ -256,14 +262,13 @@ def _repair_findings(scenes: list[Scene]) -> list[dict[str, Any]]:
         sigma = math.sqrt(share * (1.0 - share) / frames)
         value = {"fraction": ParameterValue(value=share, sigma=sigma, unit="1")}
         findings.append(_plain("lost_samples", "all", value, 50.0, 1.0, 1.0))
-    for scene in scenes:
-        interval = scene.seen.interval_s
-        for stuck in scene.data.stuck:
-            values = {
-                "start": ParameterValue(value=stuck.start_s, sigma=interval, unit="s"),
-                "duration": ParameterValue(value=stuck.duration_s, sigma=interval, unit="s"),
-            }
-            findings.append(_plain("stuck_samples", stuck.channel, values, 50.0, 1.0, 1.0))
+    interval = scenes[0].seen.interval_s
+    for one in stuck:
+        values = {
+            "start": ParameterValue(value=one.start_s, sigma=interval, unit="s"),
+            "duration": ParameterValue(value=one.duration_s, sigma=interval, unit="s"),
+        }
+        findings.append(_plain("stuck_samples", one.channel, values, 50.0, 1.0, 1.0))
     return findings
 
 
@@ -298,7 +303,7 @@ def _reference(adopted: Adopted, fit: Fit) -> dict[str, Any]:
 
 _REFERENCE_TEXT = {
     "turn_timing": "the turns did not start and stop when stated (seconds late, start and end of each turn)",
-    "turn_angle": "the turns were not as large as stated (share of each)",
+    "turn_angle": "the turns were not as large as stated (radians each)",
     "turn_timing_and_angle": "the turns were neither timed nor sized as stated",
     "turn_axis": "the turns were about other axes than stated (radians, two for each turn)",
     "turn_motion": "the turns differed from what is stated in time, size and axis",
@@ -345,16 +350,23 @@ def _noise_document(search: Search) -> dict[str, Any]:
 
 
 def _next(search: Search, named: Sequence[Adopted], unexplained: Unexplained) -> list[dict[str, Any]]:
-    """Return proposals for the finding that is least certain."""
-    candidates = [a for a in named if get_effect(a.hypothesis.effect).name]
-    if not candidates:
-        return []
-    doubtful = min(candidates, key=lambda a: (not a.ties, a.score))
-    rivals = [s.hypothesis for s in (doubtful.ties or doubtful.rivals[:2]) if s.hypothesis.kind is Kind.NAMED]
-    del unexplained
-    proposals = propose(search.evidence, search.fit, doubtful.hypothesis, rivals)
-    about = f"{doubtful.hypothesis.effect} on {doubtful.hypothesis.channel}"
-    return [{"name": p.name, "text": p.text, "about": about, "expected_nats": p.expected_nats} for p in proposals]
+    """Return proposals for what has no name, else for the finding that is least certain, else for what may hide."""
+    evidence, fit = search.evidence, search.fit
+    curves = [a for a in search.of_kind(Kind.EMPIRICAL) if a in unexplained.curves]
+    if curves:
+        worst = max(curves, key=lambda a: a.score)
+        rivals = [s.hypothesis for s in worst.rivals if s.hypothesis.kind is Kind.NAMED][:2]
+        proposals = propose(evidence, fit, worst.hypothesis, rivals)
+    elif unexplained.terms:
+        term = unexplained.terms[0]
+        proposals = [propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"]))]
+    elif named:
+        doubtful = min(named, key=lambda a: (not a.ties, a.score))
+        rivals = [s.hypothesis for s in (doubtful.ties or doubtful.rivals[:2]) if s.hypothesis.kind is Kind.NAMED]
+        proposals = propose(evidence, fit, doubtful.hypothesis, rivals)
+    else:
+        proposals = propose_unseen(evidence, fit)
+    return [asdict(proposal) for proposal in proposals]
 
 
 def _entries(findings: list[dict[str, Any]], model: BlockModel, recordings: Sequence[Recording]) -> list[EffectEntry]:

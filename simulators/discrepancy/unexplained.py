@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from scipy.fft import idct
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.adopt import MISFIT_SHARE, Adopted, Search
+from simulators.discrepancy.adopt import Adopted, Search
 from simulators.discrepancy.candidates import Kind, Slot
 from simulators.discrepancy.noise_names import OtherNoise
 
 Array = NDArray[np.float64]
 
+MISFIT_SHARE = 0.05
+"""A curve that gains less than this share of a name's evidence on the same sensor is that name's misfit."""
+PHANTOM_SHARE = 0.01
+"""A name that gains less than this share of another's on the same sensor only mends the other's form."""
 BURSTS = 12.0
 """Standard deviations by which the noise's power may vary from block to block."""
 _BLOCK_S = 1.0
@@ -26,9 +30,13 @@ _HARMONIC = 0.01
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure without a name: plain descriptions, the names withdrawn for it, misfits of names that stay."""
+    """Structure without a name: plain descriptions, the names withdrawn for it, misfits of names that stay.
+
+    ``curves`` are the adopted curves among it.
+    """
 
     terms: list[dict[str, Any]]
+    curves: list[Adopted]
     withdrawn: list[Adopted]
     misfits: list[dict[str, Any]]
     bursts: list[dict[str, Any]]
@@ -39,47 +47,56 @@ class Unexplained:
 
 
 def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherNoise]) -> Unexplained:
-    """Sort what was adopted without a name into misfits of a name and structure unknown."""
+    """Sort what was adopted without a name into misfits of a name and structure unknown.
+
+    A name whose evidence lies on a channel with structure unknown stood in for it, and is withdrawn.
+    """
+    gains = {id(a): search.gains(a.hypothesis) for a in named}
     terms: list[dict[str, Any]] = []
+    curves: list[Adopted] = []
     misfits: list[dict[str, Any]] = []
     withdrawn: list[Adopted] = []
     for curve in search.of_kind(Kind.EMPIRICAL):
         sensor = curve.hypothesis.channel
-        beside = [a for a in named if sensor in _sensors(a, search)]
-        largest = max((a.gain for a in beside), default=0.0)
+        beside = [a for a in named if gains[id(a)].get(sensor, 0.0) * MISFIT_SHARE > curve.gain]
         entry = _described(curve, search)
-        if curve.gain < MISFIT_SHARE * largest:
+        if beside:
             misfits.append({**entry, "of": max(beside, key=lambda a: a.gain).hypothesis.effect})
             continue
         terms.append(entry)
-        withdrawn += [a for a in beside if a.gain < 20.0 * curve.gain and _single(a, search)]
+        curves.append(curve)
+        withdrawn += [a for a in named if _mostly_on(gains[id(a)], sensor)]
     for small in named:
         for large in named:
-            both = _single(small, search) and _sensors(small, search) == _sensors(large, search)
-            if small is not large and both and small.gain < MISFIT_SHARE * large.gain and small not in withdrawn:
+            channel, among = max(gains[id(small)].items(), key=lambda one: one[1], default=("", 0.0))
+            weak = among < PHANTOM_SHARE * gains[id(large)].get(channel, 0.0)
+            if small is not large and weak and small not in withdrawn and _mostly_on(gains[id(small)], channel):
                 withdrawn.append(small)
                 misfits.append({**_described(small, search), "of": large.hypothesis.effect})
     lines = _harmonics(search, named)
     if lines:
-        withdrawn += [a for a in lines if a not in withdrawn]
-        channel = lines[0].hypothesis.channel
-        frequencies = sorted(a.hypothesis.shape["frequency"] for a in lines)
-        terms.append({"kind": "periodic", "channel": channel, "term": "harmonics of one line", "hertz": frequencies})
+        withdrawn += lines
+        terms.append(
+            {
+                "kind": "periodic",
+                "channel": lines[0].hypothesis.channel,
+                "term": "harmonics of one line",
+                "evidence_nats": sum(a.gain for a in lines),
+                "hertz": sorted(a.hypothesis.shape["frequency"] for a in lines),
+            }
+        )
     for noise in other_noise:
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
     bursts = _unsteady(search)
     terms += [{"kind": "bursts", **burst} for burst in bursts]
-    return Unexplained(terms, withdrawn, misfits, bursts)
+    return Unexplained(terms, curves, withdrawn, misfits, bursts)
 
 
-def _sensors(adopted: Adopted, search: Search) -> set[str]:
-    return {CHANNELS[c] for _, c in search.evidence.touched(adopted.hypothesis.columns)}
-
-
-def _single(adopted: Adopted, search: Search) -> bool:
-    return len(_sensors(adopted, search)) == 1
+def _mostly_on(gains: Mapping[str, float], channel: str) -> bool:
+    """Whether half of a name's evidence or more lies on a channel."""
+    return gains.get(channel, 0.0) >= 0.5 * sum(gains.values())
 
 
 def _described(adopted: Adopted, search: Search) -> dict[str, Any]:
@@ -118,27 +135,29 @@ def _unsteady(search: Search) -> list[dict[str, Any]]:
         z, when = _burst_score(search, slot)
         if z > BURSTS:
             text = "noise in bursts"
-            found.append({"channel": CHANNELS[slot[1]], "term": text, "at_s": when, "sigmas": z})
+            entry = {"channel": CHANNELS[slot[1]], "term": text, "at_s": when, "sigmas": z}
+            found.append({**entry, "evidence_nats": 0.5 * z**2})
     return found
 
 
 def _burst_score(search: Search, slot: Slot) -> tuple[float, float]:
-    evidence, library = search.evidence, search.evidence.library
-    basis = evidence.basis[slot]
-    left = library.residual[slot].copy()
-    for i, amplitude in zip(search.fit.ids, search.fit.amplitude, strict=True):
-        part = library.columns[i].parts.get(slot)
-        if part is not None:
-            left -= amplitude * part
+    """Return by how many σ the whitened power varies from block to block, and the time of the largest.
+
+    Blocks with samples that are no measurement, which are smooth, do not count.
+    """
+    library = search.evidence.library
+    basis, scene = search.evidence.basis[slot], library.scenes[slot[0]]
+    left = library.left(slot, search.fit.ids, search.fit.amplitude)
     weight = np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
     white = np.asarray(idct(weight * left, norm="ortho"))
     length = max(8, round(_BLOCK_S / basis.interval_s))
     count = basis.n // length
-    if count < 20:
+    missing = scene.data.missing[: count * length * scene.group, slot[1]].reshape(count, -1).any(axis=1)
+    if np.sum(~missing) < 20:
         return 0.0, 0.0
-    squares = np.minimum(white**2, 25.0)[: count * length].reshape(count, length)
+    squares = np.minimum(white**2, 25.0)[: count * length].reshape(count, length)[~missing]
     means = squares.mean(axis=1)
     expected = float(squares.var()) / length
-    z = (float(means.var()) / expected - 1.0) * math.sqrt(count / 2.0)
-    scene = library.scenes[slot[0]]
-    return z, float(scene.time_s[0] + (int(np.argmax(means)) + 0.5) * length * basis.interval_s)
+    z = (float(means.var()) / expected - 1.0) * math.sqrt(len(means) / 2.0)
+    worst = int(np.flatnonzero(~missing)[int(np.argmax(means))])
+    return z, float(scene.time_s[0] + (worst + 0.5) * length * basis.interval_s)

@@ -48,7 +48,7 @@ class Basis:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame."""
         x = self._x()
         tau = self.interval_s
-        flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency())
+        flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency() * tau)
         return np.asarray(
             noise.white**2 / tau
             + (noise.quantisation**2 + floor**2) / 12.0 * 4.0 * (np.sin(x) ** 2 + 1.0 / self.n) / tau**2
@@ -98,7 +98,7 @@ class NoiseFit:
 
 PENALTY = (0.0, 3.0, 8.0)
 """What each level costs [nats] where the model states its noise; where its size is free, STATED does not exist."""
-PENALTY_FREE = (math.inf, 0.0, 4.0)
+PENALTY_FREE = (math.inf, 0.0, 7.0)
 
 
 def fit_noise(
@@ -109,9 +109,6 @@ def fit_noise(
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
     Without ``slow``, nothing but white noise and quantisation is tried.
     """
-    # A constant is never noise: the mean's own power has no say in the noise that it is judged by.
-    rss, freedom = rss.copy(), freedom.copy()
-    rss[0] = freedom[0] = 0.0
     penalty = PENALTY_FREE if stated is None else PENALTY
     best: NoiseFit | None = None
     if stated is not None:

@@ -1,0 +1,117 @@
+"""A campaign's results on disk: a folder of finished chunks while it runs, one Parquet file when it is done.
+
+Each chunk is a file of its own, put in place whole, so that a kill at any point loses only what was not finished. The
+final file is made from the chunks in the order of their trials, whoever worked them out in whatever order.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from service.campaign.spec import Campaign
+from service.errors import RefusedInput
+
+KEY = b"inertrim.campaign"
+
+
+class Chunks:
+    """What there is of a campaign under ``OUT.parts``.
+
+    Raises
+    ------
+    RefusedInput
+        ``OUT`` or its parts belong to another campaign.
+    """
+
+    def __init__(self, spec: Campaign, out: Path) -> None:
+        self._spec, self._out = spec, out
+        self._folder = out.with_name(out.name + ".parts")
+        self._size = spec.campaign.chunk
+        # Another version may compute otherwise: its chunks and ours do not make one result.
+        self._facts = {"campaign": spec.digest(), "software": f"inertrim {version('inertrim')}"}
+        self.finished = self._is_ours()
+
+    @property
+    def count(self) -> int:
+        """Return how many chunks there are in all."""
+        return -(-self._spec.trials // self._size)
+
+    def span(self, chunk: int) -> tuple[int, int]:
+        """Return a chunk's first trial and how many it has."""
+        first = chunk * self._size
+        return first, min(self._size, self._spec.trials - first)
+
+    def missing(self) -> Iterator[int]:
+        """Yield the chunks that are still to be worked out."""
+        here = {path.name for path in self._folder.glob("*.parquet")}
+        return (chunk for chunk in range(self.count) if self._path(chunk).name not in here)
+
+    def trials_done(self) -> int:
+        """Return how many trials are finished."""
+        return self._spec.trials - sum(self.span(chunk)[1] for chunk in self.missing())
+
+    def begin(self) -> None:
+        """Make the folder, or go on with one of the same campaign."""
+        if not self._folder.is_dir():
+            self._folder.mkdir()
+        mark = self._folder / "campaign.json"
+        if not mark.is_file():
+            _write_whole(
+                mark, json.dumps({**self._facts, "spec": self._spec.model_dump(mode="json")}, indent=1).encode()
+            )
+        found = json.loads(mark.read_bytes())
+        if any(found.get(name) != fact for name, fact in self._facts.items()):
+            remedy = "Go on with the specification it began with, remove that folder, or name another --out."
+            raise RefusedInput(str(self._folder), "holds the parts of another campaign or version.", remedy)
+
+    def save(self, chunk: int, table: pa.Table) -> None:
+        """Keep a finished chunk."""
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression="zstd")
+        _write_whole(self._path(chunk), sink.getvalue())
+
+    def finish(self) -> None:
+        """Put the chunks together in order, then clear them away."""
+        part = self._out.with_name(f".{self._out.name}.part")
+        schema = pq.read_schema(self._path(0)).with_metadata({KEY: json.dumps(self._facts, sort_keys=True).encode()})
+        with pq.ParquetWriter(part, schema, compression="zstd") as writer:
+            for chunk in range(self.count):
+                writer.write_table(pq.read_table(self._path(chunk)).replace_schema_metadata(schema.metadata))
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(self._out)
+        shutil.rmtree(self._folder)
+        self.finished = True
+
+    def _path(self, chunk: int) -> Path:
+        return self._folder / f"{chunk:09d}.parquet"
+
+    def _is_ours(self) -> bool:
+        """Return whether ``OUT`` is this campaign's, finished."""
+        if not self._out.exists():
+            return False
+        try:
+            found = json.loads((pq.read_schema(self._out).metadata or {}).get(KEY, b"{}"))
+        except (pa.ArrowException, OSError, ValueError):
+            found = {}
+        if found != self._facts:
+            remedy = "Name another --out, or move that file away."
+            raise RefusedInput(str(self._out), "exists and is not the result of this campaign.", remedy)
+        return True
+
+
+def _write_whole(path: Path, content: bytes | pa.Buffer) -> None:
+    part = path.with_name(f".{path.name}.part")
+    with part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)

@@ -1,0 +1,228 @@
+"""Run a campaign on dask.distributed: processes of this machine, or a cluster that is there already.
+
+A task is a chunk of trials, known to its worker by the specification and its numbers; what comes back is one Arrow
+table. Few more chunks are on their way than there are workers, so that a billion trials need no more memory than a
+thousand. A worker that dies is replaced, and its chunk goes to another, by dask itself.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from service.campaign.chunks import Chunks
+from service.campaign.spec import Campaign
+from service.errors import RefusedInput
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+AHEAD = 2
+"""Chunks on their way for each worker."""
+DEATHS = 20
+"""Workers that may die of one chunk before it is given up: a kill from outside is no fault of the chunk."""
+CONNECT_S = 20
+
+Progress = Callable[[int, int], None]
+
+
+class CampaignFailed(RuntimeError):
+    """A campaign cannot go on; the text says why. What was finished is kept."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a call did: trials in all, how many of them now, in what time, over how many bytes on the line.
+
+    ``rate`` is trials a second once every worker had delivered; None where nothing can be said.
+    """
+
+    trials: int
+    now: int
+    wall_s: float
+    workers: int
+    bytes_moved: int
+    rate: float | None
+
+
+def run_campaign(
+    spec: Campaign,
+    out: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Done:
+    """Work out what is missing of a campaign and write its Parquet file.
+
+    Parameters
+    ----------
+    spec
+        The study. Each trial's result depends on it and on the trial's number alone.
+    out
+        The file; ``OUT.parts`` holds the chunks meanwhile. A call that was killed is gone on with.
+    workers
+        Processes on this machine; default one for each core. Means nothing with ``scheduler``.
+    scheduler
+        Address of a dask scheduler whose workers have this inertrim installed.
+    progress
+        Called with trials done and trials in all.
+
+    Raises
+    ------
+    RefusedInput
+        The extra ``cluster`` is missing, the scheduler does not answer, or ``out`` belongs to something else.
+    CampaignFailed
+        A chunk failed, or killed every worker that tried it.
+    """
+    chunks = Chunks(spec, out)
+    tell = progress or _silent
+    if chunks.finished:
+        return Done(spec.trials, 0, 0.0, 0, 0, None)
+    _require_dask()
+    chunks.begin()
+    before = chunks.trials_done()
+    tell(before, spec.trials)
+    began, pace, moved, size = time.monotonic(), _Pace(), 0, 0
+    if before < spec.trials:
+        with _client(workers, scheduler) as client:
+            size = len(client.nthreads())
+            done = before
+            for chunk, answer in _answers(client, spec, chunks):
+                chunks.save(chunk, pa.ipc.open_stream(answer).read_all())
+                done += chunks.span(chunk)[1]
+                moved += len(answer) + len(spec.text())
+                pace.count(chunks.span(chunk)[1])
+                tell(done, spec.trials)
+            pace.workers = size
+    chunks.finish()
+    return Done(spec.trials, spec.trials - before, time.monotonic() - began, size, moved, pace.rate)
+
+
+def run_chunk(text: str, first: int, count: int) -> bytes:
+    """Work out some trials in order; what a worker does. Returns an Arrow stream."""
+    spec = Campaign.model_validate_json(text)
+    if spec.campaign.study == "reanalysis":
+        from service.campaign.reanalysis import COLUMNS, run_reanalysis
+
+        rows = [run_reanalysis(spec, trial) for trial in range(first, first + count)]
+        table = pa.Table.from_pylist(rows, schema=COLUMNS)
+    else:
+        from service.campaign.trial import COLUMNS, run_trial
+
+        rows = [run_trial(spec, trial) for trial in range(first, first + count)]
+        table = pa.Table.from_pylist(rows, schema=COLUMNS)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return bytes(sink.getvalue())
+
+
+class _Pace:
+    """How fast chunks come once all workers have warmed up: after each has delivered its first."""
+
+    def __init__(self) -> None:
+        self.workers = 1
+        self._ticks: list[tuple[float, int]] = []
+
+    def count(self, trials: int) -> None:
+        self._ticks.append((time.monotonic(), trials))
+
+    @property
+    def rate(self) -> float | None:
+        if len(self._ticks) < 3 * self.workers:
+            return None
+        warm = self._ticks[self.workers - 1 :]
+        elapsed_s = warm[-1][0] - warm[0][0]
+        return sum(trials for _, trials in warm[1:]) / elapsed_s if elapsed_s > 0.0 else None
+
+
+def _answers(client: Client, spec: Campaign, chunks: Chunks) -> Iterator[tuple[int, bytes]]:
+    """Yield finished chunks as they come, keeping only some on their way."""
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    text, todo = spec.text(), chunks.missing()
+    numbers: dict[str, int] = {}
+
+    def submit(chunk: int) -> Any:
+        future = client.submit(run_chunk, text, *chunks.span(chunk), key=f"trials-{chunk}", pure=False)
+        numbers[future.key] = chunk
+        return future
+
+    first = [submit(chunk) for chunk in islice(todo, AHEAD * max(1, len(client.nthreads())))]
+    coming = as_completed(first)
+    for future in coming:
+        try:
+            answer: bytes = future.result()
+        except KilledWorker:
+            first_trial, count = chunks.span(numbers[future.key])
+            reason = f"{DEATHS} workers died of trials {first_trial} to {first_trial + count - 1}"
+            raise CampaignFailed(f"{reason}. Look into their logs; then call again, to go on.") from None
+        except Exception as error:
+            reason = f"trials from {chunks.span(numbers[future.key])[0]} on: {type(error).__name__}: {error}"
+            raise CampaignFailed(f"{reason}. What was finished is kept; call again to go on.") from error
+        yield numbers.pop(future.key), answer
+        future.release()
+        following = next(todo, None)
+        if following is not None:
+            coming.add(submit(following))
+
+
+@contextmanager
+def _client(workers: int | None, scheduler: str | None) -> Iterator[Client]:
+    """Give a client of a running cluster: a local one, or the one at an address."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}))
+        if scheduler is not None:
+            yield stack.enter_context(_connected(scheduler))
+            return
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="inertrim-dask-"))
+        cluster = stack.enter_context(
+            LocalCluster(
+                n_workers=workers or os.cpu_count() or 1,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+                local_directory=folder,
+            )
+        )
+        yield stack.enter_context(Client(cluster, set_as_default=False))
+
+
+def _connected(scheduler: str) -> Client:
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        reason = f"{scheduler} does not answer as a dask scheduler ({error})."
+        raise RefusedInput("--scheduler", reason, "Give the address that the scheduler printed, tcp://…") from None
+
+
+def _require_dask() -> None:
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        remedy = "Install the extra: pip install 'inertrim[cluster]'."
+        raise RefusedInput("campaign", "needs dask.distributed, which is not installed.", remedy) from None
+
+
+def _silent(done: int, total: int) -> None:
+    """Tell nobody."""
+    del done, total

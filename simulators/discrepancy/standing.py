@@ -1,0 +1,124 @@
+"""Registers that stood still: runs of one reading that neither rounding nor the input explains, taken out.
+
+A readout whose step is of the order of the noise repeats values by itself, often and long. But what it rounds off it
+carries on to the next sample, so the sum over such a run is right to a step; a register that stands still loses what
+came meanwhile.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene
+
+Array = NDArray[np.float64]
+
+_CHANCE = 1e-4  # of a run of equal readings arising by itself somewhere in a channel
+_SHORTEST_RUN = 6
+_ASIDE = 100  # samples on either side of a run that say what the register should have read
+_ASTRAY = 6.0  # by how many times its uncertainty a run's sum is off what its neighbours say
+_BLOCK = 32
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """One sensor's register stood still from ``start_s`` for ``duration_s`` [s, device clock]."""
+
+    channel: str
+    start_s: float
+    duration_s: float
+
+
+def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
+    """Return the scene with the samples of registers that stood still marked missing, and which they were."""
+    data, missing = scene.data, scene.data.missing.copy()
+    interval = np.diff(data.edges_s)
+    came = np.flatnonzero(~missing[:, 0])
+    found = []
+    for column, channel in enumerate(CHANNELS):
+        increment = data.sent[came, column]
+        off = (scene.measured[came, column] - scene.predicted[came, column]) * interval[came]
+        for first, last in _standing(increment, off):
+            start, end = int(came[first]), int(came[last])
+            missing[start : end + 1, column] = True
+            found.append(Stuck(channel, float(data.edges_s[start]), float(data.edges_s[end + 1] - data.edges_s[start])))
+    return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
+
+
+def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
+    """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
+
+    ``off`` is by how much each increment is off the prediction.
+    """
+    same = np.diff(increment) == 0.0
+    if not same.any() or same.all():
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2]
+    lengths = last - first
+    step, noise = _step(increment), _noise(off)
+    longest = max(_longest_by_rounding(noise / step, same.size), _longest_by_custom(lengths, same.size))
+    found = []
+    for a, b in zip(first, last, strict=True):
+        if b - a < _SHORTEST_RUN or increment[a] == 0.0:  # a dead band stands at zero and is no stuck register
+            continue
+        if b - a >= longest or _astray(off, int(a), int(b), step, noise) > _ASTRAY:
+            found.append((int(a) + 1, int(b)))
+    return found
+
+
+def _step(increment: Array) -> float:
+    """Return the readout's step: the smallest difference between readings that is no rounding of a float."""
+    apart = np.diff(np.unique(increment))
+    apart = apart[apart > 1e-9 * np.max(np.abs(increment))]
+    return float(apart.min()) if apart.size else math.inf
+
+
+def _noise(increment: Array) -> float:
+    """Return the σ of a sample's noise before it was rounded, from sums over blocks, which rounding hardly touches."""
+    count = increment.size // _BLOCK
+    if count < 8:
+        return 0.0
+    sums = increment[: count * _BLOCK].reshape(count, _BLOCK).sum(axis=1)
+    return 1.4826 * float(np.median(np.abs(np.diff(sums, 2)))) / math.sqrt(6.0 * _BLOCK)
+
+
+def _longest_by_rounding(steps: float, size: int) -> float:
+    """Return the length that runs reach by chance when noise of so many steps a sample is summed and rounded.
+
+    A random walk stays within one step for L samples with probability exp(-λL), λ = π²σ²/2 for small σ, the step
+    widened by 1.166 σ for a walk that is looked at once a sample (Siegmund 1985, ch. 10).
+    """
+    leaving = 0.5 * (math.pi * steps / (1.0 + 1.166 * steps)) ** 2
+    if steps > 1.0:
+        leaving = min(leaving, math.log(2.5 * steps))
+    return math.log(max(size * leaving, 1.0) / _CHANCE) / max(leaving, 1e-9)
+
+
+def _longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
+    """Return the length that runs reach by chance, from the tail that the runs of this record have."""
+    tail = float(np.quantile(lengths, 0.9))
+    beyond = lengths[lengths >= tail] - tail
+    mean = max(float(np.median(beyond)) / math.log(2.0), 1.0 / math.log(size))
+    return tail + mean * math.log(max(beyond.size, 1) / _CHANCE)
+
+
+def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
+    """Return how far the sum over a run is off what its neighbours say, over what it may be off.
+
+    That is noise, one step of rounding, and what the neighbours differ by among themselves.
+    """
+    sides = (off[max(0, a - _ASIDE) : max(0, a - 1)], off[b + 2 : b + 2 + _ASIDE])
+    halves = [half for side in sides if side.size >= _ASIDE // 2 for half in np.array_split(side, 2)]
+    if not halves:
+        return 0.0
+    means = np.array([float(half.mean()) for half in halves])
+    count = b - a
+    sigma = noise * math.sqrt(count * (1.0 + 2.0 * count / _ASIDE))
+    astray = abs(float(np.sum(off[a + 1 : b + 1])) - count * float(means.mean())) - step
+    return astray / max(math.hypot(sigma, count * float(np.ptp(means))), 1e-300)
