@@ -17,6 +17,7 @@ from service.commands.align import align
 from service.commands.budget import budget
 from service.commands.calibrate import calibrate
 from service.commands.capture import capture
+from service.commands.campaign import campaign
 from service.commands.compensate import compensate
 from service.commands.convert import convert
 from service.commands.demo import demo
@@ -46,7 +47,12 @@ USER_ERRORS = (
     ("service.errors", "RefusedInput"),
 )
 """What a user's input can raise, by module and name, so that nothing is imported for it."""
-FAILURES = (("service.demo", "DemoFailed"), ("service.console.client", "ConsoleError"), ("service.processes", "ProcessFailed"))
+FAILURES = (
+    ("service.demo", "DemoFailed"),
+    ("service.processes", "ProcessFailed"),
+    ("service.campaign.engine", "CampaignFailed"),
+    ("service.console.client", "ConsoleError"),
+)
 
 app = typer.Typer(
     name="inertrim",
