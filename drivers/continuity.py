@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.differences import differences
 from drivers.samples import SampleArray
 
 
@@ -71,8 +72,8 @@ class Continuity:
         first = self._last is None
         last_sequence, last_time_s, last_host_s = self._last or (0, 0.0, 0.0)
         # Modulo 2³², so that a wrap is a step of one.
-        steps = np.diff(samples["sequence"], prepend=np.uint32(last_sequence)).astype(np.int32)
-        elapsed = np.diff(samples["time"], prepend=last_time_s)
+        steps = differences(samples["sequence"], last_sequence).astype(np.int32)
+        elapsed = differences(samples["time"], last_time_s)
         odd = (steps != 1) | (elapsed <= 0)
         odd[list(reopened)] = True
         odd[0] &= not first

@@ -190,8 +190,7 @@ class KvhDecoder(Decoder):
         frames = np.ascontiguousarray(rows).view(FORMATS[kind])[:, 0]
         same = repeats(rows, self._before)
         self._before = rows[-1].tobytes()
-        valid = frames["status"][:, None] >> np.array([0, 1, 2, 4, 5, 6]) & 1
-        status = axis_flags(valid[:, :3] == 0, GYRO_AXES) | axis_flags(valid[:, 3:] == 0, ACCEL_AXES)
+        status = _CONDITIONS[frames["status"]]
         count = frames["sequence"].astype(np.int64)
         stamp = frames["time_us"].astype(np.int64) if kind == LETTERS["B"] else np.zeros(len(rows), np.int64)
         celsius = self._selected(frames) if kind == LETTERS["C"] else frames["temperature"].astype(np.float64)
@@ -233,3 +232,8 @@ class KvhDecoder(Decoder):
         else:
             placed = self._timeline.place(readings.stamp, readings.count, readings.host_s)
         add(decoded, readings, placed)
+
+
+_BYTES = np.arange(256)[:, None]
+_CONDITIONS = axis_flags(_BYTES & [1, 2, 4] == 0, GYRO_AXES) | axis_flags(_BYTES & [16, 32, 64] == 0, ACCEL_AXES)
+"""Named conditions of each status byte: an axis is valid while its bit is set."""

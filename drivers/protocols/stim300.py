@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.differences import differences
 from drivers.layout import Checksum, FrameLayout, Head
 from drivers.messages import Configuration, Identity, Message, Received, SelfTestResult
 from drivers.protocols.base import (
@@ -446,7 +447,7 @@ class Stim300Decoder(Decoder):
         before, self._sequence = self._sequence, int(sequence[-1])
         if "integrated" not in (self._setting.gyro_output, self._setting.accel_output):
             return
-        frames = np.maximum(np.diff(sequence, prepend=before), 1)[:, None]
+        frames = np.maximum(differences(sequence, before), 1)[:, None]
         if self._setting.gyro_output == "integrated":
             readings.gyro /= frames
         if self._setting.accel_output == "integrated":

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.differences import differences
+
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 HOST_LATENCY_S = 0.1
@@ -61,11 +63,11 @@ class Ticks:
     def steps(self, counts: Ints, host_s: Floats, same: NDArray[np.bool_], tick_s: float, latency_s: float) -> Ints:
         """Return by how many ticks each row follows the row before; 0 where it is the ``same`` frame again."""
         begun = not np.isnan(self._host_s)
-        steps = (np.diff(counts, prepend=self._count) - 1) % self._modulus + 1
+        steps = (differences(counts, self._count) - 1) % self._modulus + 1
         steps[same] = 0
         if not begun:
             steps[0] = 0
-        pauses_s = np.diff(host_s, prepend=self._host_s if begun else host_s[0]) - steps * tick_s
+        pauses_s = differences(host_s, self._host_s if begun else float(host_s[0])) - steps * tick_s
         settling_s = self.SETTLING_LATENCIES * latency_s
         if self._suspicion is not None:
             self._settle(self._suspicion, 0, steps, host_s, tick_s, settling_s)
@@ -166,8 +168,8 @@ class _Ends:
 
     def intervals(self, sequence: Ints, time_s: Floats) -> Floats:
         """Return the interval of each row [s]: time shared over the frames since the row before."""
-        frames = np.diff(sequence, prepend=self.sequence)
-        elapsed_s = np.diff(time_s, prepend=self.time_s)
+        frames = differences(sequence, self.sequence)
+        elapsed_s = differences(time_s, self.time_s)
         good = (frames > 0) & (elapsed_s > 0)
         interval_s = np.where(good, elapsed_s / np.where(good, frames, 1), np.nan)
         if good.any():
@@ -269,10 +271,10 @@ class ClockTimeline:
     def _elapsed(self, stamps: Ints, host_s: Floats) -> tuple[Ints, list[int]]:
         """Return the ticks since the row before, and the rows at which the clock began anew."""
         assert self._stamp is not None
-        elapsed = np.diff(stamps, prepend=np.int64(self._stamp)) % self._modulus
+        elapsed = differences(stamps, self._stamp) % self._modulus
         back = elapsed > self._modulus // 2
         if back.any():
-            ahead_s = elapsed * self._tick_s - np.diff(host_s, prepend=self._host_s)
+            ahead_s = elapsed * self._tick_s - differences(host_s, self._host_s)
             back &= ahead_s > self._modulus * self._tick_s / 4
             elapsed[back] = 0
         return elapsed, np.flatnonzero(back).tolist()
@@ -282,7 +284,7 @@ class ClockTimeline:
         by_clock = self._frame.count(elapsed)
         if counts is None or self._counter_modulus is None:
             return by_clock
-        short = (np.diff(counts, prepend=self._count) - 1) % self._counter_modulus + 1
+        short = (differences(counts, self._count) - 1) % self._counter_modulus + 1
         periods = np.rint((by_clock - short) / self._counter_modulus).clip(0)
         return np.where(elapsed > 0, short + periods.astype(np.int64) * self._counter_modulus, 0)
 
@@ -309,10 +311,10 @@ class _HostFit:
         for low, high in zip([0, *edges.tolist()], [*edges.tolist(), len(windows)], strict=True):
             if windows[low] != self.window:
                 self._close()
+                self._fit(self.SPAN_LATENCIES * latency_s)
                 self.window = int(windows[low])
             row = low + int(np.argmin(delays[low:high]))
             self.best = min(self.best, (float(delays[row]), int(number[row]), float(host_s[row])))
-        self._fit(self.SPAN_LATENCIES * latency_s)
 
     def _close(self) -> None:
         if np.isfinite(self.best[0]):
