@@ -216,6 +216,8 @@ class Acquisition:
         Told when the block says that it has woken and sends nothing.
     on_tick
         Told the state of the line, some twenty times a second.
+    beat
+        Called after every turn that went well: a thread that hangs, or fails each time, is silent.
     """
 
     def __init__(
@@ -224,8 +226,10 @@ class Acquisition:
         on_batch: Callable[[SampleArray, bool], None],
         on_idle: Callable[[], None],
         on_tick: Callable[[LineView], None],
+        beat: Callable[[], None],
     ) -> None:
         self._line, self._on_batch, self._on_idle, self._on_tick = line, on_batch, on_idle, on_tick
+        self._beat = beat
         self.beat_s = time.monotonic()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
@@ -250,10 +254,11 @@ class Acquisition:
         while not self._stopping.is_set():
             try:
                 self._turn()
+                self.beat_s = time.monotonic()
+                self._beat()
             except Exception:  # whatever it was, the line must go on being read
                 log.exception("acquisition")
                 self._stopping.wait(READ_WAIT_S)
-            self.beat_s = time.monotonic()
 
     def _turn(self) -> None:
         if self._line is None:

@@ -148,6 +148,13 @@ class LibrarySettings(Section):
     recordings: Path | None = None
 
 
+class LogSettings(Section):
+    """``[log]``: lines on standard error."""
+
+    format: Literal["json", "console"] = "json"
+    level: Literal["debug", "info", "warning", "error"] = "info"
+
+
 class TimeSettings(Section):
     """``[time]``: simulated seconds per real second, and the CLOCK_MONOTONIC value at simulated time 0."""
 
@@ -171,6 +178,7 @@ class Settings(BaseSettings):
     http: HttpSettings = HttpSettings()
     conditions: ConditionsSettings = ConditionsSettings()
     library: LibrarySettings = LibrarySettings()
+    log: LogSettings = LogSettings()
     time: TimeSettings = TimeSettings()
 
 

@@ -7,6 +7,8 @@ import json
 import queue
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any
 import structlog
 
 from drivers.timebase import Timebase
-from inertial.documents import BlockModel, Noise, parse_document
+from inertial.documents import BlockModel, Noise, Result, parse_document
 from service.acquisition import Acquisition, Line
 from service.conditions import Board, CannotAcknowledge
 from service.conditions.gather import Gatherer
@@ -23,6 +25,7 @@ from service.config import BlockSettings, ReferenceSettings, SequenceSettings, S
 from service.discrepancy_desk import DiscrepancyDesk
 from service.events import EventHub
 from service.lease import Lease, LeaseDesk, LeaseHeld
+from service.logs import correlate
 from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
 from service.recovery import recover
@@ -84,8 +87,10 @@ class Controller:
     Methods may be called from any thread. Commands are serialised; none of them waits for the block.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, beat: Callable[[], None] = lambda: None) -> None:
         self.settings = settings
+        self.transitions_made: Counter[str] = Counter()
+        self.store_failures = 0
         self.timebase = Timebase(settings.time.speed, settings.time.epoch_s)
         self.store = Store(settings.store.database, settings.store.launcher, alone=True)
         self.hub = EventHub()
@@ -96,6 +101,7 @@ class Controller:
         left = self.store.last_transition()
         self.interrupted = self.store.abort_interrupted()
         at, reason, run_id = _begin_at(left, self.interrupted)
+        correlate(run_id)
         self._sequencer = Sequencer(
             _patience(settings.sequence, self.timebase),
             MotionWatch(_noise(self.models.path())),
@@ -110,7 +116,7 @@ class Controller:
         self._recorder = threading.Thread(target=self._record, name="recorder", daemon=True)
         self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
         self._worker = Worker(settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted)
-        self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick)
+        self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick, beat)
         self._gatherer = Gatherer(settings, self.line)
         self._board = Board(utc_now)
         self._progress_s = 0.0
@@ -157,8 +163,22 @@ class Controller:
 
     def health(self) -> list[str]:
         """Return why the service is not alive; nothing when it is."""
-        dead_s = time.monotonic() - self._acquisition.beat_s
+        dead_s = self.silence_s()
         return [f"the acquisition thread is silent for {dead_s:.1f} s"] if dead_s > DEAD_AFTER_S else []
+
+    def silence_s(self) -> float:
+        """Return how long ago [real s] the acquisition thread finished a turn."""
+        return time.monotonic() - self._acquisition.beat_s
+
+    def waiting(self) -> dict[str, int]:
+        """Return how many pieces of work wait in each queue."""
+        line = {"line": self.line.link.queued} if self.line is not None else {}
+        return {"worker": self._worker.waiting, "recorder": self._records.qsize(), **line}
+
+    def result_in_hand(self) -> Result | None:
+        """Return the result of the run in hand, or of the last one, once there is one."""
+        with self._lock:
+            return self._sequencer.run.result if self._sequencer.run is not None else None
 
     def readiness(self) -> list[str]:
         """Return why the service cannot take a run; nothing when it can."""
@@ -296,6 +316,7 @@ class Controller:
             if self.line is not None:
                 self.line.capture_to(folder.capture)
             swaying = self._reference(request).alignment == "inertial"
+            correlate(record.id)
             self._sequencer.start(record.id, self.timebase.now_s(), swaying=swaying)
             self._dispatch()
 
@@ -394,6 +415,9 @@ class Controller:
         while sequencer.transitions:
             record = sequencer.transitions.popleft()
             log.info("state", **asdict(record))
+            self.transitions_made[record.target] += 1
+            if record.target == Name.OFFLINE:
+                correlate(None)
             self._records.put(record)
             self.hub.publish("state", {**asdict(record), "status": self._published.facts})
             if record.target in (Name.READY, Name.FAULT, Name.ABORTED) and self.line is not None:
@@ -440,6 +464,7 @@ class Controller:
         try:
             self.store.add_transitions([record])
         except Exception as error:
+            self.store_failures += 1
             log.error("store", transition=record.target, error=str(error))
             return False
         return True

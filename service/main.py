@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import signal
 import socket
 import ssl
-import sys
 
 import structlog
 import uvicorn
@@ -15,8 +13,10 @@ from service.api import create_app
 from service.api.gate import is_loopback
 from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
+from service.logs import configure_logs
 from service.security.tokens import Tokens
 from service.store import StoreError
+from service.watchdog import Notifier
 
 log = structlog.get_logger()
 
@@ -32,11 +32,12 @@ def run_service(settings: Settings) -> None:
     ConfigError, LinkError, ProtocolError
         What is configured cannot be used.
     """
-    _log_to_stderr()
+    configure_logs(settings.log)
     check_files(settings)
+    notifier = Notifier()
     listening = _listen(settings.http)
     try:
-        controller = Controller(settings)
+        controller = Controller(settings, notifier.beat)
     except StoreError as error:
         raise ConfigError(str(error)) from None
     try:
@@ -48,7 +49,7 @@ def run_service(settings: Settings) -> None:
     server = uvicorn.Server(
         uvicorn.Config(
             create_app(controller),
-            log_level="warning",
+            log_config=None,
             access_log=False,
             timeout_graceful_shutdown=SHUTDOWN_S,
             lifespan="off",
@@ -56,13 +57,20 @@ def run_service(settings: Settings) -> None:
             ssl_keyfile=settings.http.key,
         )
     )
+
+    def end(number: int, frame: object) -> None:
+        """Have the server end: while it is not up yet, and once more when it raises the signal that it has obeyed."""
+        del number, frame
+        server.should_exit = True
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        # uvicorn ends by its own handlers and raises the signal once more: that must not end us before we have closed.
-        signal.signal(number, _already_ending)
+        signal.signal(number, end)
     controller.start()
+    notifier.ready()
     try:
         server.run([listening])
     finally:
+        notifier.stopping()
         controller.stop()
 
 
@@ -103,11 +111,6 @@ def _listen(http: HttpSettings) -> socket.socket:
     return listening
 
 
-def _already_ending(number: int, frame: object) -> None:
-    """Take a signal that the server has obeyed."""
-    del number, frame
-
-
 def check_files(settings: Settings) -> None:
     """Refuse a calibration or model that a run could not use, before anyone waits for the run."""
     from inertial.documents import BlockModel, Calibration, DocumentError, parse_document
@@ -122,17 +125,3 @@ def check_files(settings: Settings) -> None:
             raise ConfigError(f"{path}: {error.strerror}. Correct the path in section [block].") from None
         except DocumentError as error:
             raise ConfigError(str(error)) from None
-
-
-def _log_to_stderr() -> None:
-    structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.format_exc_info,
-            structlog.processors.JSONRenderer(),
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-    )

@@ -25,12 +25,12 @@ def recover(folder: RunFolder, settings: Settings) -> None:
     try:
         samples = samples_of_capture(folder, settings)
         if samples is None or len(samples) < 2:
-            log.warning("recovery", run=folder.path.name, error="the capture holds no samples")
+            log.warning("recovery", run_id=folder.path.name, error="the capture holds no samples")
             return
         folder.write_recording(samples, recording_meta(settings.site, settings.block, settings.reference, samples))
-        log.info("recovery", run=folder.path.name, samples=len(samples))
+        log.info("recovery", run_id=folder.path.name, samples=len(samples))
     except (CaptureError, RecordingError, OSError, ValueError) as error:
-        log.error("recovery", run=folder.path.name, error=str(error))
+        log.error("recovery", run_id=folder.path.name, error=str(error))
 
 
 def samples_of_capture(folder: RunFolder, settings: Settings) -> SampleArray | None:

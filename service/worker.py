@@ -87,6 +87,11 @@ class Worker:
     def _take_plan(self, run_id: str, plan: RunPlan) -> None:
         self._plans, self._run_id, self._facts = {run_id: plan}, run_id, {}
 
+    @property
+    def waiting(self) -> int:
+        """How many orders wait."""
+        return self._orders.qsize()
+
     def submit(self, order: Order | Callable[[], None]) -> None:
         """Queue an order, or any piece of work that must keep its place among them."""
         self._orders.put(order)

@@ -25,6 +25,8 @@ from service.api import (
 from service.api.gate import Access, Gate
 from service.api.headers import SecurityHeaders
 from service.controller import Controller
+from service.metrics import Metrics
+from service.metrics.latency import LatencyMiddleware
 from service.security import roles
 from service.security.tokens import Tokens
 
@@ -43,6 +45,7 @@ def create_app(controller: Controller) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.controller = controller
+    app.state.metrics = Metrics(controller)
     app.state.access = cache(lambda: Access(Tokens(controller.store), controller.settings.http))
     problems.install(app, MAX_BODY_BYTES)
     app.add_middleware(Gate, access=app.state.access)
@@ -52,6 +55,7 @@ def create_app(controller: Controller) -> FastAPI:
     app.include_router(pages.router)
     app.include_router(status.probes, prefix="/api/v1")
     app.include_router(status.probes, include_in_schema=False)
+    app.add_middleware(LatencyMiddleware, histogram=app.state.metrics.latency)  # outermost: the last one added
     app.openapi = partial(_document, app, app.openapi)  # type: ignore[method-assign]
     return app
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 
 from service.api.common import ControllerHere
-from service.api.metrics import CONTENT_TYPE, exposition
 from service.api.models import Health, Status
 from service.api.problems import responses
+from service.metrics import CONTENT_TYPE, Metrics
 
 router = APIRouter(tags=["status"])
 probes = APIRouter(tags=["probes"])
@@ -48,6 +48,7 @@ def readyz(controller: ControllerHere, response: Response) -> Health:
 
 
 @probes.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-def metrics(controller: ControllerHere) -> Response:
-    """Give line counters and the state to Prometheus."""
-    return Response(exposition(controller), media_type=CONTENT_TYPE)
+def metrics(request: Request) -> Response:
+    """Give all metrics to Prometheus (docs/metrics.md)."""
+    made: Metrics = request.app.state.metrics
+    return Response(made.text(), media_type=CONTENT_TYPE)

@@ -1,0 +1,174 @@
+"""What machines watch: metrics named by the conventions, read from the running service; log lines one object each."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import math
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import structlog
+from http_bench import serving, settings_for
+from prometheus_client.parser import text_string_to_metric_families
+from sequencer_bench import TERMS, result
+
+from service.config import LogSettings
+from service.controller import Controller
+from service.logs import configure_logs, correlate
+from service.sequencer import RunContext
+
+BASE_UNITS = (
+    "seconds",
+    "bytes",
+    "ratio",
+    "celsius",
+    "volts",
+    "info",
+    "radians_per_second",
+    "meters_per_second_squared",
+)
+"""https://prometheus.io/docs/practices/naming: base units only."""
+NOT_BASE = re.compile(r"_(ms|milliseconds|minutes|hours|days|kilobytes|megabytes|mb|percent|deg|degrees|g|mg|dph)(_|$)")
+"""What promtool's lint refuses, and the units that the rest of this program has at its faces."""
+Serving = tuple[Controller, httpx.Client]
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
+    folder = tmp_path_factory.mktemp("metrics")
+    settings = settings_for(folder, link={"url": str(folder / "none")}, site={"latitude_deg": 35.7})
+    with serving(settings) as both:
+        yield both
+
+
+def families(client: httpx.Client) -> dict[str, Any]:
+    answer = client.get("/metrics")
+    assert answer.status_code == 200
+    return {family.name: family for family in text_string_to_metric_families(answer.text)}
+
+
+def test_names_types_and_units_keep_the_conventions(service: Serving) -> None:
+    for name, family in families(service[1]).items():
+        assert re.fullmatch(r"[a-z][a-z0-9_]*", name), name
+        ours = name.startswith("inertrim_")
+        assert family.documentation.endswith(".") or not ours, f"{name}: no sentence says what it is"
+        assert not NOT_BASE.search(name), f"{name}: not a base unit"
+        for sample in family.samples:
+            assert sample.name.endswith("_total") == (family.type == "counter"), sample.name
+            assert not {"le", "quantile"} & set(sample.labels) or family.type == "histogram"
+        if ours and re.search(r"_(seconds|bytes|ratio)_", f"{name}_"):
+            assert name.endswith(BASE_UNITS), f"{name}: the unit comes last"
+        kinds = ("counter", "gauge", "histogram", "info")
+        assert not any(part in kinds for part in name.removesuffix("_info").split("_")), f"{name}: the type is no part"
+
+
+def test_what_the_service_counts_is_told(service: Serving) -> None:
+    controller, client = service
+    found = families(client)
+    assert {sample.labels["state"] for sample in found["inertrim_state"].samples if sample.value} == {"OFFLINE"}
+    assert found["inertrim_fit"].samples[0].value == 0
+    assert math.isnan(found["inertrim_frame_age_seconds"].samples[0].value)
+    assert math.isnan(found["inertrim_verification_chi_squared"].samples[0].value)
+    assert found["inertrim_line_open_failures"].samples[0].value > 0
+    assert found["inertrim_acquisition_silence_seconds"].samples[0].value < 2.0
+    assert {one.labels["queue"] for one in found["inertrim_queue_items"].samples} == {"worker", "recorder", "line"}
+    assert found["inertrim_disk_free_bytes"].samples[0].value > 0
+    assert found["process_resident_memory_bytes"].samples[0].value > 1e6
+    names = {one["name"] for one in controller.conditions()["conditions"]}
+    assert {one.labels["condition"] for one in found["inertrim_condition_broken"].samples} == names
+
+
+def test_a_run_s_terms_and_verification_are_told(tmp_path: Path) -> None:
+    with serving(settings_for(tmp_path)) as (controller, client):
+        verified = result().model_copy(update={"verification": {"chi_square": 7.5, "limit": 22.5}})
+        run = RunContext("run-1", terms={"stage_1": TERMS}, result=verified)
+        controller._sequencer._run = run  # a run of five minutes is not waited for
+        deadline_s = time.monotonic() + 10.0
+        while controller.status().facts["run_id"] != "run-1":  # the status is made anew twenty times a second
+            assert time.monotonic() < deadline_s
+        found = families(client)
+    for name, told in (
+        ("accel_term_meters_per_second_squared", TERMS.f_mps2),
+        ("gyro_term_radians_per_second", TERMS.g_radps),
+    ):
+        samples = found[f"inertrim_{name}"].samples
+        assert {(one.labels["stage"], one.labels["axis"]): one.value for one in samples} == {
+            ("stage_1", axis): value for axis, value in zip("xyz", told, strict=True)
+        }
+    assert found["inertrim_verification_chi_squared"].samples[0].value == 7.5
+    assert found["inertrim_verification_chi_squared_limit"].samples[0].value == 22.5
+
+
+def test_requests_are_timed_by_route_and_guessed_paths_make_no_series(service: Serving) -> None:
+    client = service[1]
+    for path in ("/api/v1/status", "/api/v1/runs/unknown", "/guess/1", "/guess/2"):
+        client.get(path)
+    counts = {
+        (one.labels["route"], one.labels["code"]): one.value
+        for one in families(client)["inertrim_http_request_duration_seconds"].samples
+        if one.name.endswith("_count")
+    }
+    assert counts["/status", "200"] == 1
+    assert counts["/runs/{run_id}", "404"] == 1
+    assert counts["none", "404"] == 2
+
+
+def test_every_metric_is_in_the_documentation(service: Serving) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    told = set(re.findall(r"`(inertrim_[a-z_]+)`", page))
+    exported = {
+        f"{name}_total" if family.type == "counter" else f"{name}_info" if family.type == "info" else name
+        for name, family in families(service[1]).items()
+        if name.startswith("inertrim_")
+    }
+    assert told == exported
+
+
+@pytest.fixture
+def lines() -> Iterator[io.StringIO]:
+    handlers, level, configured = logging.root.handlers[:], logging.root.level, structlog.get_config()
+    stream = io.StringIO()
+    configure_logs(LogSettings(), stream)
+    yield stream
+    correlate(None)
+    logging.root.handlers[:] = handlers
+    logging.root.setLevel(level)
+    structlog.configure(**configured)
+
+
+def test_every_line_is_one_object_and_bears_the_run_in_hand(lines: io.StringIO) -> None:
+    structlog.get_logger().info("before")
+    correlate("run-1")
+    structlog.get_logger().warning("state", target="READY")
+    logging.getLogger("sqlalchemy.pool").error("a library's line, %d", 7)
+    try:
+        raise ValueError("what went wrong")
+    except ValueError:
+        structlog.get_logger().exception("worker")
+    before, state, library, worker = (json.loads(line) for line in lines.getvalue().splitlines())
+    assert "run_id" not in before
+    assert [one["run_id"] for one in (state, library, worker)] == ["run-1"] * 3
+    assert (state["event"], state["level"], state["target"]) == ("state", "warning", "READY")
+    assert library["event"] == "a library's line, 7"
+    assert worker["exception"][0]["exc_value"] == "what went wrong"
+    assert all("timestamp" in one for one in (before, state, library, worker))
+
+
+def test_lines_for_a_console_are_text(lines: io.StringIO) -> None:
+    configure_logs(LogSettings(format="console", level="warning"), lines)
+    structlog.get_logger().info("not this")
+    structlog.get_logger().warning("capture", path="capture.raw")
+    assert lines.getvalue().count("\n") == 1
+    assert re.search(r"warning.*capture.*path=capture\.raw", lines.getvalue())
+
+
+def test_a_line_that_cannot_be_written_hurts_nobody(lines: io.StringIO) -> None:
+    lines.close()
+    structlog.get_logger().error("capture", path="capture.raw")
