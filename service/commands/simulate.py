@@ -19,6 +19,10 @@ def simulate(
     pty: Annotated[
         Path | None, typer.Option("--pty", metavar="PATH", help="Stream frames on a pty and link it to this path.")
     ] = None,
+    tcp: Annotated[
+        int | None,
+        typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Stream frames to socket://127.0.0.1:PORT."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="NAME", help="Write a recording, NAME.parquet and NAME.toml.")
     ] = None,
@@ -38,12 +42,13 @@ def simulate(
         bool, typer.Option("--control", help="Read faults from standard input, one JSON object a line.")
     ] = False,
 ) -> None:
-    """Simulate a block: stream its frames on a pseudo-terminal, or write a recording.
+    """Simulate a block: stream its frames on a pseudo-terminal or a TCP port, or write a recording.
 
     Without a scenario it is the demo's; without a model the one that the scenario names, else an ideal block.
     """
-    if (pty is None) == (out is None):
-        raise RefusedInput("simulate", "give either --pty or --out.", "--pty streams frames, --out writes a recording.")
+    if sum(one is not None for one in (pty, tcp, out)) != 1:
+        remedy = "--pty and --tcp stream frames, --out writes a recording."
+        raise RefusedInput("simulate", "give one of --pty, --tcp and --out.", remedy)
     check_targets(out, pty, ledger)
     from simulators.errors import ScenarioError
 
@@ -51,8 +56,8 @@ def simulate(
     try:
         if out is not None:
             _write(plan, block, out)
-        elif pty is not None:
-            _stream(plan, block, pty, protocol, speed, epoch, ledger, control)
+        else:
+            _stream(plan, block, pty, tcp, protocol, speed, epoch, ledger, control)
     except ScenarioError as error:
         place = " with ".join(str(path) for path in (scenario, model) if path is not None) or "simulate"
         raise RefusedInput(place, f"{error}.", "Correct the scenario or the model.") from None
@@ -90,7 +95,8 @@ def _write(plan: Scenario, block: BlockModel, out: Path) -> None:
 def _stream(
     plan: Scenario,
     block: BlockModel,
-    pty: Path,
+    pty: Path | None,
+    tcp: int | None,
     protocol: str,
     speed: float,
     epoch: float | None,
@@ -115,6 +121,7 @@ def _stream(
         plan,
         block,
         path=pty,
+        tcp_port=tcp,
         timebase=Timebase(speed, epoch),
         stop=stop,
         protocol=protocol,
