@@ -64,7 +64,7 @@ class ServiceCollector(Collector):
             "inertrim_condition_broken", "1 while a go / no-go condition is broken.", labels=["condition", "severity"]
         )
         for one in self._controller.conditions()["conditions"]:
-            broken.add_metric([one["name"], one["severity"]], float(one["state"] == "broken"))
+            broken.add_metric([one["name"], one["severity"]], float(one["state"] in ("failed", "acknowledged")))
         yield broken
         run_id = facts["run_id"]
         yield from _terms(self._controller.terms(run_id) if run_id is not None else {})
