@@ -19,7 +19,7 @@ from service.security.roles import READING, needed
 from service.security.sessions import COOKIE, Sessions
 from service.security.tokens import LOCAL, Principal, Tokens
 
-FAILURES_PER_S = 0.5
+FAILURES_PER_S, FAILURES_BURST_S = 0.5, 20.0
 """Wrong tokens that one address may offer; argon2 is slow enough that more would cost others their answers."""
 CSRF_HEADER = b"x-csrf-token"
 
@@ -45,7 +45,7 @@ class Access:
         self._open_house = is_loopback(http.host)
         self._requests = RateLimit(http.requests_per_s)
         self._commands = RateLimit(http.commands_per_s)
-        self._failures = RateLimit(FAILURES_PER_S)
+        self._failures = RateLimit(FAILURES_PER_S, FAILURES_BURST_S)
         self._checking = asyncio.Lock()
 
     def open_house(self) -> bool:
@@ -93,11 +93,12 @@ class Access:
         found = self.tokens.remembered(text)
         if found is not None:
             return found
-        if (wait_s := self._failures.take(address)) > 0:
+        if (wait_s := self._failures.wait_s(address)) > 0:
             return _later(wait_s, "Too many wrong tokens came from this address.")
         async with self._checking:  # one at a time: argon2 takes memory and a core
             found = await asyncio.to_thread(self.tokens.verify, text)
         if found is None:
+            self._failures.take(address)
             return _who("This token is unknown, revoked or past its end. `inertrim token create` makes one.")
         return found
 

@@ -95,7 +95,7 @@ def _validity(facts: Facts) -> Measure:
         return Measure(None, None, facts.validity_s, "s", "no result that could run out")
     holds = left > 0 and facts.ready
     text = f"valid for {left:.0f} s more" if holds else "what was vouched for no longer is"
-    return Measure(holds, round(left, 1), 0.0, "s", text)
+    return Measure(holds, round(left, 1) if holds else 0.0, 0.0, "s", text)
 
 
 def _clock(facts: Facts) -> Measure:

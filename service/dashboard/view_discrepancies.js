@@ -44,7 +44,7 @@ export function discrepanciesView(main) {
       job.verdict ? h("span", { class: "tag busy" }, said(job.verdict)) : said(job.state),
       h("span", {}, job.verdict ? h("a", { href: job.links.report, target: "_blank" }, t("report")) : null, " ", job.found && may("maintainer") ? h("button", { onclick: () => adopt(job) }, t("adopt")) : null),
     ]);
-    fill(list, rows.length ? table([t("started"), t("operator"), t("progress"), t("verdict"), ""], rows, t("discrepancies")) : h("p", { class: "dim" }, t("disc_none")));
+    fill(list, rows.length ? table([t("started"), t("who"), t("progress"), t("verdict"), ""], rows, t("discrepancies")) : h("p", { class: "dim" }, t("disc_none")));
   }
 
   const onEvent = () => read().catch(() => null);

@@ -58,17 +58,19 @@ export function liveView(main) {
   async function readRun() {
     const status = live.status;
     if (!status || !status.run_id) return;
-    const key = `${status.run_id} ${status.state} ${status.stage} ${status.reason}`;
-    if (key === shown.runKey && shown.run) return;
+    const over = ["READY", "HOLD", "FAULT", "ABORTED", "OFFLINE"].includes(status.state);
+    const key = `${status.run_id} ${status.state} ${status.reason}`;
+    if (over && key === shown.runKey) return;
     const detail = await get(`/runs/${status.run_id}`);
+    if (!over && JSON.stringify(detail.terms) === shown.runKey) return;
     let result = null;
     let navigation = null;
-    if (["READY", "HOLD", "FAULT", "ABORTED", "OFFLINE"].includes(status.state)) {
+    if (over) {
       result = await get(`/runs/${status.run_id}/result`).catch(() => null);
       if (result) navigation = await get(`/runs/${status.run_id}/navigation`).catch(() => null);
     }
     shown.run = { detail, result, navigation, state: status.state };
-    shown.runKey = key;
+    shown.runKey = over ? key : JSON.stringify(detail.terms);
     drawTerms(place.terms, shown);
     drawNavigation(place.navigation, shown);
   }
@@ -96,7 +98,7 @@ export function liveView(main) {
   live.addEventListener("state", onCondition);
   live.addEventListener("status", onCondition);
   const slowly = setInterval(slow, 1000);
-  const drawing = setInterval(() => drawPlots(plots, live.samples), 500);
+  const drawing = setInterval(() => drawPlots(plots, live.samples), 1000);
   slow();
   paint();
   return () => {
@@ -160,7 +162,7 @@ function paintPath(place, status, plan) {
   const held = status.state === "HOLD";
   const later = steps.slice(at + 1).reduce((sum, one) => sum + (one.at_least_s || 0), 0);
   const own = status.remaining_s ?? 0;
-  const busy = at >= 0 && !["READY"].includes(status.state);
+  const busy = at >= 0 && !held && status.state !== "READY";
   const facts = [names, at, held, status.state, i18n.language];
   if (!place.firstChild || place.dataset.facts !== JSON.stringify(facts)) {
     place.dataset.facts = JSON.stringify(facts);

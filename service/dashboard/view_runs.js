@@ -21,7 +21,7 @@ export function runsView(main) {
   async function read(path) {
     const page = await get(path);
     rows.push(...page.runs);
-    const head = [t("started"), t("verdict"), t("state"), t("method"), t("operator"), ""];
+    const head = [t("started"), t("verdict"), t("state"), t("method"), t("who"), ""];
     const cells = rows.map((run) => [
       h("a", { href: `#/run/${run.run_id}` }, said(utc(run.started))),
       verdictTag(run),
@@ -52,7 +52,7 @@ export async function runView(main, id) {
         h(
           "dl",
           {},
-          [[t("state"), stateName(run.state)], [t("reason"), said(run.reason)], [t("started"), said(utc(run.started))], [t("ended"), said(utc(run.ended))], [t("method"), said(run.method)], [t("operator"), said(run.operator || "–")], [t("block"), said(run.block.identity ? `${run.block.identity.model} ${run.block.identity.serial}` : "–")]]
+          [[t("state"), stateName(run.state)], [t("reason"), said(run.reason)], [t("started"), said(utc(run.started))], [t("ended"), said(utc(run.ended))], [t("method"), said(run.method)], [t("who"), said(run.operator || "–")], [t("block"), said(run.block.identity ? `${run.block.identity.model} ${run.block.identity.serial}` : "–")]]
             .map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
         ),
         h("p", {}, h("a", { href: `${path}/result` }, t("result")), " · ", h("a", { href: `${path}/samples`, download: "" }, t("samples")), " · ", h("a", { href: `#/compare/${run.run_id}` }, t("compare"))),
