@@ -1,0 +1,233 @@
+"""Ageing forecasts and steps on simulated fleets: coverage of the 90 % interval, steps found, false alarms.
+
+Each fleet has 200 blocks of six terms by one planted law (``simulators.fleet``): laws the fitted family holds, laws it
+does not, slopes with heavy tails, a walk that is pulled back. Forecasts are made from monthly checks and held against
+when each block really leaves its limit.
+
+Blocks of one fleet share its population, so what is wrong about that is wrong for all of them: their outcomes hang
+together. The band is therefore the plain binomial one of all blocks of a law (99.9 %), which holds only if the
+population is well enough known to add nothing, and beside it stands the design effect (variance between fleets over the
+binomial variance; 1: blocks are as good as independent), which tells whether it is.
+
+    python -m benchmarks.ageing --fleets 5 --json FILE [--laws linear,logarithmic] [--blocks 200] [--parts coverage]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom, poisson
+
+from inertial.ageing_fleet import KINDS, TERMS, analyse_fleet
+from inertial.ageing_forecast import HORIZON_MONTHS, PROBABILITY
+from inertial.ageing_steps import FALSE_ALARMS_PER_BLOCK_YEAR, predicted_sigma
+from simulators.fleet import FleetTerm, Shock, TermLaw, simulate_term
+
+BLOCKS = 200
+HISTORY_MONTHS = 24
+LIMIT = 20.0
+"""In units of one check's σ; 1σ of the drift after a year is 10 (x axes: 3)."""
+SPREAD = {"x": 3.0, "y": 10.0, "z": 10.0}
+CASES: dict[str, dict[str, Any]] = {
+    "linear": {"law": "linear"},
+    "logarithmic": {"law": "logarithmic"},
+    "square_root": {"law": "square_root"},
+    "saturating": {"law": "saturating"},
+    "growing": {"law": "growing"},
+    "common drift": {"law": "logarithmic", "mean": 8.0},
+    "heavy tails": {"law": "logarithmic", "tails": 5.0},
+    "walk pulled back": {"law": "logarithmic", "walk": 0.4, "relaxation_months": 12.0},
+}
+"""Of these the fitted family holds linear, logarithmic and common drift."""
+TRIVIAL = 0.9
+"""A forecast that is surer than this of being outside now, or not before the horizon, says no interval."""
+
+STEP_MONTHS, STEP_FROM, STEP_SIGMA, LATER_CHECKS = 60, 36, 3.0, 3
+"""Histories with steps: months of checks, the first a step may precede, its size, and within how many checks later than
+the first that shows it it must be found."""
+STEP_LAW: dict[str, Any] = {"walk": 0.05}
+"""Steps are planted where the drift's scatter is mostly from check to check: a walk does not average out."""
+
+
+def fleet(case: str, seed: int, blocks: int, months: int, horizon: float) -> dict[str, FleetTerm]:
+    """Return a fleet's terms by name, the σ of whose checks differ."""
+    rng = np.random.default_rng([seed, list(CASES).index(case)])
+    laws = {name: TermLaw(spread=SPREAD[name[-1]], **CASES[case]) for name in TERMS}
+    return {name: simulate_term(law, blocks, np.arange(1.0, months + 1.0), horizon, rng) for name, law in laws.items()}
+
+
+def shaken(case: str, seed: int, blocks: int, shocks: dict[str, tuple[Shock, ...]]) -> dict[str, FleetTerm]:
+    """Return the same fleet with and without shocks, the σ of whose checks are all the same."""
+    rng = np.random.default_rng([seed, list(CASES).index(case), 1])
+    laws = {name: TermLaw(**{**CASES[case], **STEP_LAW, "spread": SPREAD[name[-1]]}) for name in TERMS}
+    checks = np.arange(1.0, STEP_MONTHS + 1.0)
+    return {
+        name: simulate_term(law, blocks, checks, STEP_MONTHS, rng, shocks.get(name, ()), "stated")
+        for name, law in laws.items()
+    }
+
+
+def analysed(terms: dict[str, FleetTerm]) -> Any:
+    """Return the analysis of a simulated fleet."""
+    names = [f"block {number}" for number in range(next(iter(terms.values())).histories.blocks)]
+    histories = {name: (names, term.histories) for name, term in terms.items()}
+    return names, analyse_fleet(histories, dict.fromkeys(TERMS, LIMIT), FALSE_ALARMS_PER_BLOCK_YEAR)
+
+
+def coverage(case: str, blocks: int, seed: int) -> dict[str, Any]:
+    """Forecast one fleet; return how many intervals there are, and how many hold the truth."""
+    began = time.process_time()
+    terms = fleet(case, seed, blocks, HISTORY_MONTHS, HISTORY_MONTHS + HORIZON_MONTHS)
+    names, found = analysed(terms)
+    truth = np.min([term.leaves_months(LIMIT) for term in terms.values()], axis=0)
+    inside, widths = [], []
+    for name, when in zip(names, truth, strict=True):
+        one = found.leaving[name]
+        if max(one.outside_now, one.beyond_horizon) > TRIVIAL:
+            continue
+        low, high = (math.inf if end is None else end for end in (one.low, one.high))
+        inside.append(low <= when <= high)
+        widths.append(high - low)
+    steps = sum(len(block) for term in found.terms.values() for block in term.steps)
+    return {
+        "intervals": len(inside),
+        "inside": int(sum(inside)),
+        "median_width_months": float(np.median(widths)),
+        "false_alarms": steps,
+        "block_years": blocks * HISTORY_MONTHS / 12.0,
+        "cpu_s": time.process_time() - began,
+    }
+
+
+def steps(case: str, blocks: int, seed: int) -> dict[str, Any]:
+    """Plant one step of 3σ in every other block and look how soon it is found, and what else is."""
+    began = time.process_time()
+    rng = np.random.default_rng([seed, 99])
+    plain = shaken(case, seed, blocks, {})
+    _, before = analysed(plain)
+    planted: dict[str, list[Shock]] = {}
+    for block in range(0, blocks, 2):
+        name = TERMS[int(rng.integers(len(TERMS)))]
+        check = int(rng.integers(STEP_FROM, STEP_MONTHS - 12))
+        sigma = predicted_sigma(plain[name].histories, before.terms[name].fit.best, block, check)
+        planted.setdefault(name, []).append(Shock(block, check, math.copysign(STEP_SIGMA * sigma, rng.normal())))
+    shocks = {name: tuple(found) for name, found in planted.items()}
+    _, found = analysed(shaken(case, seed, blocks, shocks))
+    return {**_judged(shocks, found), "block_years": blocks * STEP_MONTHS / 12.0, "cpu_s": time.process_time() - began}
+
+
+def _judged(shocks: dict[str, tuple[Shock, ...]], found: Any) -> dict[str, Any]:
+    """Return how many steps were found by when, and alarms where there is none."""
+    planted = {(name, shock.block): shock for name, those in shocks.items() for shock in those}
+    delays, false = [], 0
+    for name, block, step in _all_steps(found):
+        shock = planted.get((name, block))
+        if shock is None or step.found_at < shock.check:
+            false += 1
+            continue
+        planted.pop((name, block))
+        delays.append(step.found_at - shock.check)
+    return {
+        "planted": sum(len(those) for those in shocks.values()),
+        "by_third_check": sum(delay < LATER_CHECKS for delay in delays),
+        "in_time": sum(delay <= LATER_CHECKS for delay in delays),
+        "ever": len(delays),
+        "false_alarms": false,
+    }
+
+
+def _all_steps(found: Any) -> Iterator[tuple[str, int, Any]]:
+    for name in (name for kind in KINDS for name in kind):
+        for block, those in enumerate(found.terms[name].steps):
+            for step in those:
+                yield name, block, step
+
+
+def judged_coverage(fleets: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a law's figures with their bands."""
+    count = sum(one["intervals"] for one in fleets)
+    inside = sum(one["inside"] for one in fleets)
+    low, high = binom.interval(0.999, count, PROBABILITY)
+    shares = np.array([one["inside"] / one["intervals"] for one in fleets])
+    plain = PROBABILITY * (1.0 - PROBABILITY) * np.mean([1.0 / one["intervals"] for one in fleets])
+    return {
+        "intervals": count,
+        "coverage": inside / count,
+        "band": [low / count, high / count],
+        "within_band": bool(low <= inside <= high),
+        "by_fleet": shares.tolist(),
+        "design_effect": float(np.mean((shares - PROBABILITY) ** 2) / plain),
+        "median_width_months": float(np.median([one["median_width_months"] for one in fleets])),
+        **_alarms(fleets),
+    }
+
+
+def judged_steps(fleets: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return how soon steps are found, over all fleets of a law."""
+    sums = {key: sum(one[key] for one in fleets) for key in ("planted", "by_third_check", "in_time", "ever")}
+    shares = {f"share_{key}": sums[key] / sums["planted"] for key in ("by_third_check", "in_time", "ever")}
+    return {**sums, **shares, **_alarms(fleets)}
+
+
+def _alarms(fleets: list[dict[str, Any]]) -> dict[str, Any]:
+    years, alarms = (sum(one[key] for one in fleets) for key in ("block_years", "false_alarms"))
+    return {
+        "block_years": years,
+        "false_alarms": alarms,
+        "false_alarms_per_block_year": alarms / years,
+        "alarms_allowed_99_9": int(poisson.ppf(0.999, FALSE_ALARMS_PER_BLOCK_YEAR * years)),
+        "cpu_s": sum(one["cpu_s"] for one in fleets),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ageing", description=__doc__)
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    parser.add_argument("--fleets", type=int, default=5, help="of each law (default 5)")
+    parser.add_argument("--blocks", type=int, default=BLOCKS, help="of each fleet (default 200)")
+    parser.add_argument("--laws", default=",".join(CASES), help="some of them, by name")
+    parser.add_argument("--parts", default="coverage,steps", help="coverage, steps or both")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    seeds = range(arguments.seed, arguments.seed + arguments.fleets)
+    kinds = {"coverage": (coverage, judged_coverage), "steps": (steps, judged_steps)}
+    figures: dict[str, Any] = {"fleets": arguments.fleets, "blocks": arguments.blocks}
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        for part in arguments.parts.split(","):
+            run, judge = kinds[part]
+            for case in arguments.laws.split(","):
+                found = judge(list(pool.map(partial(run, case, arguments.blocks), seeds)))
+                figures.setdefault(part, {})[case] = found
+                print(part, case, json.dumps(found), flush=True)
+                if arguments.json:
+                    arguments.json.write_text(json.dumps(figures | {"table": table(figures)}, indent=2) + "\n")
+
+
+def table(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return the rows for documents."""
+    header = ["law", "intervals", "90 % covers", "99.9 % band", "3σ steps in time", "false alarms a block-year"]
+    rows = []
+    for case in CASES:
+        cover, step = (figures.get(part, {}).get(case) for part in ("coverage", "steps"))
+        cells = ["–"] * 3
+        if cover:
+            cells = [str(cover["intervals"]), f"{cover['coverage']:.3f}", "{:.3f} to {:.3f}".format(*cover["band"])]
+        alarms = [one for one in (cover, step) if one]
+        if alarms:
+            rate = sum(one["false_alarms"] for one in alarms) / sum(one["block_years"] for one in alarms)
+            rows.append([case, *cells, f"{step['share_in_time']:.3f}" if step else "–", f"{rate:.4f}"])
+    return {"header": header, "rows": rows}
+
+
+if __name__ == "__main__":
+    main()

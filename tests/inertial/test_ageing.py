@@ -1,0 +1,166 @@
+"""The drift model: an exact likelihood, forecasts that cover, steps told from drift at the stated false-alarm rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom, multivariate_normal, norm, poisson
+
+from inertial.ageing import PopulationFit, Sizes, TermHistories, fit_population, with_steps
+from inertial.ageing_filter import log_likelihood
+from inertial.ageing_forecast import HORIZON_MONTHS, Leaving, bands, leaving, leaving_months
+from inertial.ageing_steps import find_steps, predicted_sigma
+from simulators.fleet import FleetTerm, Shock, TermLaw, simulate_term
+
+MONTHLY = np.arange(1.0, 37.0)
+TRUE = Sizes(exponent=1e-12, law_months=6.0, mean=0.0, spread=10.0, offset=1.0, walk=0.15, scatter=0.3)
+"""What ``TermLaw()`` plants: λ → 0 is its logarithmic law."""
+
+
+def dense_covariance(months: np.ndarray, sigma: np.ndarray, sizes: Sizes) -> np.ndarray:
+    """The model's covariance written out, with nothing of the filter."""
+    growth = np.log1p(months / sizes.law_months) / np.log1p(12.0 / sizes.law_months)
+    walk = sizes.walk**2 * np.minimum(months[:, None], months[None, :])
+    own = np.diag(sigma**2 + sizes.scatter**2)
+    return own + walk + sizes.offset**2 + sizes.spread**2 * np.outer(growth, growth)
+
+
+def test_the_likelihood_is_that_of_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(1)
+    blocks = []
+    expected = 0.0
+    for count in (1, 4, 9):
+        months = np.sort(rng.uniform(0.0, 40.0, count))
+        sigma = rng.uniform(0.5, 2.0, count)
+        value = rng.standard_normal(count) * 5.0
+        growth = np.log1p(months / 6.0) / np.log1p(2.0)
+        expected += multivariate_normal(1.5 * growth, dense_covariance(months, sigma, TRUE)).logpdf(value)
+        blocks.append((months, value, sigma))
+    histories = TermHistories.of(blocks)
+    row = TRUE.row
+    row[0] = 1.5
+    found = log_likelihood(
+        histories.offsets,
+        histories.months,
+        TRUE.growth(histories.months),
+        histories.value,
+        histories.sigma**2,
+        histories.jump,
+        row,
+    )
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_marked_step_leaves_the_likelihood_of_what_does_not_depend_on_it() -> None:
+    """A step of unknown size before the last check makes that check say nothing."""
+    rng = np.random.default_rng(2)
+    months, value, sigma = np.arange(1.0, 7.0), rng.standard_normal(6), np.ones(6)
+    short = TermHistories.of([(months[:5], value[:5], sigma[:5])])
+    whole = with_steps(TermHistories.of([(months, value, sigma)]), [5])
+
+    def likelihood(histories: TermHistories) -> float:
+        growth = TRUE.growth(histories.months)
+        rows = histories.offsets, histories.months, growth, histories.value, histories.sigma**2
+        return log_likelihood(*rows, histories.jump, TRUE.row)
+
+    assert likelihood(whole) == pytest.approx(likelihood(short), rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def fleet() -> FleetTerm:
+    """60 blocks, 24 monthly checks, logarithmic drift."""
+    return simulate_term(TermLaw(), 60, MONTHLY[:24], 24.0 + HORIZON_MONTHS, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def fit(fleet: FleetTerm) -> PopulationFit:
+    """The fleet's own."""
+    return fit_population([fleet.histories])[0]
+
+
+def test_the_fit_finds_what_was_planted(fit: PopulationFit) -> None:
+    for name in ("spread", "walk", "scatter"):
+        values = np.array([getattr(draw, name) for draw in fit.draws])
+        # 64 draws: their range holds the truth but for odds of about 1 in 30 a size; the seed is fixed.
+        assert values.min() < getattr(TRUE, name) < values.max(), name
+
+
+def test_the_same_histories_give_the_same_fit() -> None:
+    few = simulate_term(TermLaw(), 4, MONTHLY[:6], 6.0, np.random.default_rng(4)).histories
+    assert fit_population([few, few]) == fit_population([few, few])
+
+
+def test_forecasts_cover_within_the_binomial_band(fleet: FleetTerm, fit: PopulationFit) -> None:
+    limit = 20.0
+    samples = leaving_months(fleet.histories, fit, limit, seed=0)
+    truth = fleet.leaves_months(limit)
+    forecasts = [leaving(row) for row in samples]
+    open_ones = [k for k, one in enumerate(forecasts) if max(one.outside_now, one.beyond_horizon) < 0.9]
+    inside = [
+        (forecasts[k].low or 0.0) <= truth[k] <= (np.inf if forecasts[k].high is None else forecasts[k].high)
+        for k in open_ones
+    ]
+    low, high = binom.interval(0.999, len(inside), 0.9)
+    assert low <= sum(inside) <= high
+    assert len(inside) > 20
+
+
+def test_a_forecast_band_joins_the_history(fleet: FleetTerm, fit: PopulationFit) -> None:
+    months, mean, sigma = bands(fleet.histories, fit)
+    last = np.array([fleet.truth[block, np.searchsorted(fleet.truth_months, 24.0)] for block in range(60)])
+    assert np.all(months[:, 0] == 24.0)
+    assert np.all(np.diff(sigma, axis=1)[:, 12:] > 0.0)
+    distance = (last - mean[:, 0]) / sigma[:, 0]
+    assert 60 * np.mean(distance**2) < 99.6  # χ² of 60, 99.9 %
+
+
+def test_intervals_open_where_the_horizon_or_the_present_cuts_them() -> None:
+    months = np.arange(1.0, 101.0)
+    assert leaving(months) == Leaving(50.0, 5.0, 95.0, 0.0, 0.0)
+    late = np.where(months > 80.0, np.inf, months)
+    assert leaving(late) == Leaving(50.0, 10.0, None, 0.0, 0.2)
+    now = np.where(months <= 30.0, 0.0, months)
+    assert leaving(now) == Leaving(50.0, 0.0, 90.0, 0.3, 0.0)
+
+
+# ------------------------------------------------------------------ steps
+
+
+def test_scores_without_a_step_raise_no_more_alarms_than_stated() -> None:
+    """250 block-years at a stated rate of 0.2: 50 expected at most; the bound of theory is Poisson's."""
+    rate, blocks, years = 0.2, 100, 2.5
+    term = simulate_term(TermLaw(), blocks, MONTHLY[:30], 30.0, np.random.default_rng(5))
+    alarms = sum(len(steps) for steps in find_steps(term.histories, TRUE, rate))
+    assert alarms <= poisson.ppf(0.999, rate * blocks * years)
+    # And the bound is no empty promise: far fewer would mean thresholds that cost power for nothing.
+    assert alarms >= poisson.ppf(0.001, 0.5 * rate * blocks * years)
+
+
+def test_steps_are_found_where_they_are_and_measured() -> None:
+    blocks, check = 40, 30
+    plain = simulate_term(TermLaw(), blocks, MONTHLY, 36.0, np.random.default_rng(7))
+    sizes = [6.0 * predicted_sigma(plain.histories, TRUE, block, check) for block in range(blocks)]
+    shocks = tuple(Shock(block, check, size) for block, size in enumerate(sizes))
+    term = simulate_term(TermLaw(), blocks, MONTHLY, 36.0, np.random.default_rng(7), shocks)
+    found = find_steps(term.histories, TRUE, 0.01 / 6.0)
+    hit = [[step for step in steps if step.check == check] for steps in found]
+    assert sum(len(steps) == 1 for steps in hit) >= blocks - 2
+    assert all(step.found_at <= check + 2 for steps in hit for step in steps)
+    distance = np.array([(steps[0].size - sizes[k]) / steps[0].sigma for k, steps in enumerate(hit) if steps])
+    assert np.sum(distance**2) < 86.0  # χ² of 40 and fewer, 99.9 % of 50
+
+
+def test_slow_drift_however_fast_is_no_step() -> None:
+    law = TermLaw(spread=300.0)
+    term = simulate_term(law, 40, MONTHLY, 36.0, np.random.default_rng(8))
+    sizes = Sizes(exponent=1e-12, law_months=6.0, mean=0.0, spread=300.0, offset=1.0, walk=0.15, scatter=0.3)
+    alarms = sum(len(steps) for steps in find_steps(term.histories, sizes, 0.01))
+    assert alarms <= poisson.ppf(0.999, 0.01 * 40 * 3.0)
+
+
+def test_the_threshold_is_below_bonferroni_and_above_a_single_test() -> None:
+    from inertial.ageing_steps import _threshold
+
+    alone, together = _threshold(5e-5, []), _threshold(5e-5, [(5e-5, 0.9)])
+    assert alone == pytest.approx(norm.isf(0.25e-4), abs=1e-3)
+    assert norm.isf(0.25e-4 * 20.0) < together < alone
