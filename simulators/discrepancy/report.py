@@ -122,7 +122,8 @@ def _report(
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
-    findings += [_noise_finding(n, search) for n in noise]
+    unsteady = {term["channel"] for term in unexplained.unsteady}
+    findings += [_noise_finding(n, search) for n in noise if n.channel not in unsteady]
     verdict = "none"
     if unexplained.terms:
         verdict = "unknown"

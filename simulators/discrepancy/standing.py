@@ -62,7 +62,9 @@ def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
     first, last = edges[::2], edges[1::2]
     lengths = last - first
     step, noise = _step(increment), _noise(off)
-    longest = max(_longest_by_rounding(noise / step, same.size), _longest_by_custom(lengths, same.size))
+    # Noise that is slow changes little from sample to sample, whatever it sums up to.
+    fast = min(noise, 1.4826 * float(np.median(np.abs(np.diff(off)))) / math.sqrt(2.0) or noise)
+    longest = max(_longest_by_rounding(fast / step, same.size), _longest_by_custom(lengths, same.size))
     found = []
     for a, b in zip(first, last, strict=True):
         if b - a < _SHORTEST_RUN or increment[a] == 0.0:  # a dead band stands at zero and is no stuck register

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
+from scipy.stats import chi2
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
-from simulators.discrepancy.candidates import Kind, Slot
+from simulators.discrepancy.candidates import Kind, Slot, to_cosine
 from simulators.discrepancy.noise_names import OtherNoise
 
 Array = NDArray[np.float64]
@@ -22,9 +23,12 @@ MISFIT_SHARE = 0.05
 """A curve that gains less than this share of a name's evidence on the same sensor is that name's misfit."""
 PHANTOM_SHARE = 0.01
 """A name that gains less than this share of another's on the same sensor only mends the other's form."""
-BURSTS = 12.0
-"""Standard deviations by which the noise's power may vary from block to block."""
-_BLOCK_S = 1.0
+UNSTEADY_NATS = 7.0
+"""Evidence that the power of what is left varies with time more than steady noise does: once in a thousand records."""
+_SHARE_SEEN = 0.8  # of a block that must have been measured
+_COEFFICIENTS = 8  # that make up one block's power
+_FIRST, _HIGHEST_HZ = 32, 5.0
+_CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
 _HARMONIC = 0.01
 
 
@@ -39,11 +43,11 @@ class Unexplained:
     curves: list[Adopted]
     withdrawn: list[Adopted]
     misfits: list[dict[str, Any]]
-    bursts: list[dict[str, Any]]
+    unsteady: list[dict[str, Any]]
 
     def document(self) -> dict[str, Any]:
         """Return what ``report.json`` says under ``remaining``."""
-        return {"empirical": self.terms, "misfits": self.misfits, "unsteady": self.bursts}
+        return {"empirical": self.terms, "misfits": self.misfits, "unsteady": self.unsteady}
 
 
 def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherNoise]) -> Unexplained:
@@ -89,9 +93,14 @@ def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherN
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
-    bursts = _unsteady(search)
-    terms += [{"kind": "bursts", **burst} for burst in bursts]
-    return Unexplained(terms, curves, withdrawn, misfits, bursts)
+    unsteady = _unsteady(search)
+    for found in unsteady:
+        terms.append({"kind": "unsteady", **found})
+        sensor, nats = str(found["channel"]), float(found["evidence_nats"])
+        for a in named:
+            if _mostly_on(gains[id(a)], sensor) and a.gain * MISFIT_SHARE < nats:
+                withdrawn.append(a)
+    return Unexplained(terms, curves, withdrawn, misfits, unsteady)
 
 
 def _mostly_on(gains: Mapping[str, float], channel: str) -> bool:
@@ -129,35 +138,39 @@ def _harmonics(search: Search, named: Sequence[Adopted]) -> list[Adopted]:
 
 
 def _unsteady(search: Search) -> list[dict[str, Any]]:
-    """Return channels whose whitened remainder has more power in some seconds than in others."""
+    """Return channels whose whitened remainder has more power at some times than at others.
+
+    Structure that a wide noise model has swallowed shows so: noise goes on all the time, and what drives structure
+    does not.
+    """
     found = []
     for slot in search.evidence.slots:
-        z, when = _burst_score(search, slot)
-        if z > BURSTS:
-            text = "noise in bursts"
-            entry = {"channel": CHANNELS[slot[1]], "term": text, "at_s": when, "sigmas": z}
-            found.append({**entry, "evidence_nats": 0.5 * z**2})
+        nats, when = _unsteadiness(search, slot)
+        if nats > UNSTEADY_NATS:
+            text = "what is left comes and goes"
+            found.append({"channel": CHANNELS[slot[1]], "term": text, "at_s": when, "evidence_nats": nats})
     return found
 
 
-def _burst_score(search: Search, slot: Slot) -> tuple[float, float]:
-    """Return by how many σ the whitened power varies from block to block, and the time of the largest.
-
-    Blocks with samples that are no measurement, which are smooth, do not count.
-    """
-    library = search.evidence.library
-    basis, scene = search.evidence.basis[slot], library.scenes[slot[0]]
-    left = library.left(slot, search.fit.ids, search.fit.amplitude)
-    weight = np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
-    white = np.asarray(idct(weight * left, norm="ortho"))
-    length = max(8, round(_BLOCK_S / basis.interval_s))
-    count = basis.n // length
-    missing = scene.data.missing[: count * length * scene.group, slot[1]].reshape(count, -1).any(axis=1)
-    if np.sum(~missing) < 20:
-        return 0.0, 0.0
-    squares = np.minimum(white**2, 25.0)[: count * length].reshape(count, length)[~missing]
-    means = squares.mean(axis=1)
-    expected = float(squares.var()) / length
-    z = (float(means.var()) / expected - 1.0) * math.sqrt(len(means) / 2.0)
-    worst = int(np.flatnonzero(~missing)[int(np.argmax(means))])
-    return z, float(scene.time_s[0] + (worst + 0.5) * length * basis.interval_s)
+def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
+    """Return the evidence [nats] that power varies from block to block, in some band from zero up, and where most."""
+    basis, scene = search.evidence.basis[slot], search.evidence.library.scenes[slot[0]]
+    left = search.evidence.library.left(slot, search.fit.ids, search.fit.amplitude)
+    white = left * np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
+    white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
+    came = ~scene.data.missing[: basis.n * scene.group, slot[1]]
+    best, when, bands, highest = 0.0, 0.0, 0, _FIRST
+    while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * _HIGHEST_HZ):
+        count = highest // _COEFFICIENTS
+        padded = np.zeros(8 * highest)
+        padded[2:highest] = white[2:highest]
+        power = np.square(idct(padded, norm="ortho")).reshape(count, -1).mean(axis=1)
+        seen = np.array([part.mean() for part in np.array_split(came, count)]) > _SHARE_SEEN
+        power = power[seen] / max(float(power[seen].mean()), 1e-300) if seen.sum() >= 4 else power[:0]
+        ratio = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
+        nats = -float(chi2.logsf(ratio, power.size)) if power.size else 0.0
+        bands, highest = bands + 1, 2 * highest
+        if nats > best:
+            place = (int(np.flatnonzero(seen)[int(np.argmax(power))]) + 0.5) / count
+            best, when = nats, float(scene.time_s[0] + place * (scene.time_s[-1] - scene.time_s[0]))
+    return best - math.log(max(bands, 1) * len(CHANNELS)), when
