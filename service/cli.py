@@ -12,8 +12,10 @@ from typing import Annotated
 
 import typer
 
-from service.commands import audit, console, model, token
+from service.commands import audit, bundle, console, model, store, token
+from service.commands.ageing import ageing
 from service.commands.align import align
+from service.commands.backup import backup, restore
 from service.commands.budget import budget
 from service.commands.calibrate import calibrate
 from service.commands.capture import capture
@@ -45,6 +47,7 @@ USER_ERRORS = (
     ("simulators.errors", "ScenarioError"),
     ("service.config", "ConfigError"),
     ("service.errors", "RefusedInput"),
+    ("service.store.errors", "StoreError"),
 )
 """What a user's input can raise, by module and name, so that nothing is imported for it."""
 FAILURES = (
@@ -65,10 +68,13 @@ app = typer.Typer(
 COMMANDS = (
     *(demo, serve, simulate, capture, replay, convert, detect, discrepancy),
     *(compensate, navigate, budget, align, noise, calibrate, experiments, report),
+    *(backup, restore),
+    *(ageing, campaign),
 )
 for command in COMMANDS:
     app.command()(command)
-for name, group in (("model", model), ("token", token), ("audit", audit), ("console", console)):
+GROUPS = {"model": model, "token": token, "audit": audit, "console": console, "bundle": bundle, "store": store}
+for name, group in GROUPS.items():
     app.add_typer(group.app, name=name)
 
 

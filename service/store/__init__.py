@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from service.store.carried import Carried
 from service.store.errors import StoreError
 from service.store.store import LAUNCHER, RunRecord, Store, TokenRecord, TransitionRecord, utc_now
 
-__all__ = ["LAUNCHER", "RunRecord", "Store", "StoreError", "TokenRecord", "TransitionRecord", "utc_now"]
+__all__ = ["LAUNCHER", "Carried", "RunRecord", "Store", "StoreError", "TokenRecord", "TransitionRecord", "utc_now"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,16 +17,18 @@ from sqlalchemy import func, select, update
 from sqlalchemy.exc import DatabaseError
 from sqlalchemy.orm import Session, sessionmaker
 
-from service.store import revisions
+from service.store import carried, revisions
 from service.store.audit_chain import GENESIS, Head, Verification, link, verify
 from service.store.audit_witness import Witness
+from service.store.carried import Carried
 from service.store.errors import StoreError
 from service.store.postgres import PostgresDatabase
 from service.store.sqlite import SqliteFile
-from service.store.tables import Audit, AuditHead, IdempotencyKey, ResultRow, Run, Token, Transition
+from service.store.tables import Audit, AuditHead, CarriedRun, IdempotencyKey, ResultRow, Run, Token, Transition
 
 LAUNCHER = "launcher"
 OVER = ("FAULT", "ABORTED")
+_CARRIED = select(CarriedRun.run_id)
 
 
 @dataclass(frozen=True)
@@ -213,6 +215,7 @@ class Store:
     def last_transition(self) -> dict[str, Any] | None:
         """Return this launcher's newest change of state, or None."""
         mine = select(Transition).where(Transition.launcher == self.launcher)
+        mine = mine.where(Transition.run_id.is_(None) | Transition.run_id.not_in(_CARRIED))
         with self._sessions() as session:
             row = session.scalars(mine.order_by(Transition.id.desc()).limit(1)).first()
             return _transition(row) if row is not None else None
@@ -224,7 +227,8 @@ class Store:
         -------
         Their ids.
         """
-        left = select(Run).where(Run.ended_utc.is_(None), Run.launcher == self.launcher).order_by(Run.id)
+        left = select(Run).where(Run.ended_utc.is_(None), Run.launcher == self.launcher, Run.id.not_in(_CARRIED))
+        left = left.order_by(Run.id)
         with self._sessions.begin() as session:
             open_runs = list(session.scalars(left))
             for run in open_runs:
@@ -257,6 +261,30 @@ class Store:
         with self._sessions() as session:
             row = session.get(ResultRow, run_id)
             return row.document if row is not None else None
+
+    # -- runs carried from store to store
+
+    def carry_out(self, run_id: str) -> Carried | None:
+        """Return all that is known of one run, None where there is none."""
+        with self._sessions() as session:
+            return carried.read(session, run_id)
+
+    def carry_in(self, run: Carried, signer: str, manifest_sha256: str, place: Callable[[], object]) -> None:
+        """Add a run of another store; ``place`` puts its files where they belong, and a failure there undoes all.
+
+        Raises
+        ------
+        KeyError
+            The run is here already.
+        """
+        digest = None if run.result is None else hashlib.sha256(run.result.encode()).hexdigest()
+        origin = {"utc": utc_now(), "signer": signer, "manifest_sha256": manifest_sha256}
+        with self._sessions.begin() as session:
+            if session.get(Run, run.run["id"]) is not None:
+                raise KeyError(run.run["id"])
+            carried.write(session, run, digest, origin)
+            session.flush()
+            place()
 
     # -- audit
 

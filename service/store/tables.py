@@ -112,3 +112,15 @@ class IdempotencyKey(Base):
     utc: Mapped[str] = mapped_column(Text)
     request_sha256: Mapped[str] = mapped_column(Text)
     run_id: Mapped[str] = mapped_column(ForeignKey("runs.id"))
+
+
+class CarriedRun(Base):
+    """A run that came from another store in a bundle: who signed it, and the audit entries it brought along."""
+
+    __tablename__ = "carried_runs"
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id"), primary_key=True)
+    utc: Mapped[str] = mapped_column(Text)
+    signer: Mapped[str] = mapped_column(Text)
+    manifest_sha256: Mapped[str] = mapped_column(Text)
+    audit: Mapped[str] = mapped_column(Text)
