@@ -18,8 +18,8 @@ from service.commands.align import align
 from service.commands.backup import backup, restore
 from service.commands.budget import budget
 from service.commands.calibrate import calibrate
-from service.commands.capture import capture
 from service.commands.campaign import campaign
+from service.commands.capture import capture
 from service.commands.compensate import compensate
 from service.commands.convert import convert
 from service.commands.demo import demo

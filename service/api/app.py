@@ -10,6 +10,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.api import (
+    ageing,
     conditions,
     discrepancies,
     events,
@@ -50,7 +51,7 @@ def create_app(controller: Controller) -> FastAPI:
     problems.install(app, MAX_BODY_BYTES)
     app.add_middleware(Gate, access=app.state.access)
     app.add_middleware(SecurityHeaders)
-    for module in (status, runs, events, library, discrepancies, conditions, lease, session, records):
+    for module in (status, runs, events, library, discrepancies, conditions, lease, session, records, ageing):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(pages.router)
     app.include_router(status.probes, prefix="/api/v1")
