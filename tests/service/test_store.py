@@ -12,7 +12,9 @@ import pytest
 from postgres_bench import Postgres, postgres_server
 from sqlalchemy import text
 
-from service.store import Store, StoreError, TransitionRecord, utc_now
+from service.config import StoreSettings
+from service.store import Store, StoreError, TokenRecord, TransitionRecord, revisions, utc_now
+from service.store.maintenance import current_revision, take_back
 from service.store.postgres import PostgresDatabase
 from service.store.sqlite import SqliteFile
 
@@ -225,3 +227,48 @@ def test_a_password_is_never_told() -> None:
         Store("postgresql://ada:secret@/none?host=/nonexistent")
     assert "ada" in str(refused.value)
     assert "secret" not in str(refused.value)
+
+
+def fill(store: Store) -> list[str]:
+    """Put something into every table."""
+    runs = [store.create_run({"n": number}, "optimal", "Ada", f"key {number}")[0].id for number in range(3)]
+    for run_id in runs:
+        store.add_transitions([change("POWER_UP", run_id), change("FAULT", run_id, "SETTLING")])
+        store.save_result(run_id, f'{{"of": "{run_id}"}}', "not fit")
+        store.audit("Ada", "start", run_id, "accepted", "détail")
+    store.add_token(TokenRecord("id", "console", "viewer", "hash", utc_now()))
+    return runs
+
+
+@pytest.mark.parametrize("revision", revisions.known()[:-1])
+def test_a_filled_store_goes_back_to_an_older_revision_and_forth(database: Database, revision: str) -> None:
+    store = Store(database)
+    before = [store.run(run_id) for run_id in fill(store)]
+    store.close()
+    where = {"path": database} if isinstance(database, Path) else {"database_url": database}
+    settings = StoreSettings.model_validate(where)
+    assert take_back(settings, revision) == revisions.known()[-1]
+    assert current_revision(settings) == revision
+    store = Store(database)  # the newer program again
+    assert current_revision(settings) == revisions.known()[-1]
+    assert [store.run(run.id) for run in before if run is not None] == before
+    assert [store.result(run.id) for run in before if run is not None] == [
+        f'{{"of": "{run.id}"}}' for run in before if run is not None
+    ]
+    assert store.verify_audit({}).faults == ()
+    assert [entry["detail"] for entry in store.audit_log()] == ["détail"] * 3
+    assert store.create_run({"n": 1}, "optimal", "Ada", "key 1")[1] is False
+    store.close()
+
+
+def test_going_back_is_refused_where_it_cannot_be(tmp_path: Path) -> None:
+    settings = StoreSettings(path=tmp_path / "a.db")
+    with pytest.raises(StoreError, match="cannot go back"):
+        take_back(settings, "0001")  # there is none yet
+    store = Store(settings.path, alone=True)
+    with pytest.raises(StoreError, match="another inertrim uses it"):
+        take_back(settings, "0001")
+    store.close()
+    for revision in ("9999", revisions.known()[-1]):
+        with pytest.raises(StoreError, match="cannot go back"):
+            take_back(settings, revision)
