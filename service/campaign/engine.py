@@ -161,7 +161,7 @@ def _answers(client: Client, spec: Campaign, chunks: Chunks) -> Iterator[tuple[i
         return future
 
     first = [submit(chunk) for chunk in islice(todo, AHEAD * max(1, len(client.nthreads())))]
-    coming = as_completed(first)
+    coming = as_completed(first, loop=client.loop)
     for future in coming:
         try:
             answer: bytes = future.result()

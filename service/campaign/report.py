@@ -36,7 +36,8 @@ def summary(spec: Campaign, out: Path) -> dict[str, Any]:
         effects = Counter(name for names in table.column("effects").to_pylist() for name in names or [])
         return facts | {"blocks": len(set(table.column("block").to_pylist())), "effects": dict(effects.most_common())}
     facts["terms"] = {name: _term(table, name) for name in TERMS}
-    facts["by_factor"] = {name: _by_factor(table, name) for name in spec.vary}
+    groups = {name: _by_factor(table, name) for name in spec.vary}
+    facts["by_factor"] = {name: found for name, found in groups.items() if len(found) > 1}
     return facts
 
 
@@ -86,7 +87,7 @@ def _by_factor(table: pa.Table, name: str) -> list[dict[str, Any]]:
     levels = np.array(table.column(name).to_pylist(), dtype=str if isinstance(FACTORS[name].default, str) else float)
     known = np.unique(levels)
     if len(known) <= 2 * GROUPS:
-        groups = [(str(level), str(level), levels == level) for level in known]
+        groups = [(_cell(level), _cell(level), levels == level) for level in known]
     else:
         parts = np.array_split(np.argsort(levels, kind="stable"), GROUPS)
         groups = [(f"{levels[p[0]]:.4g}", f"{levels[p[-1]]:.4g}", np.isin(np.arange(len(levels)), p)) for p in parts]
@@ -138,4 +139,4 @@ def _table(head: list[str], rows: list[list[Any]]) -> list[str]:
 def _cell(value: Any) -> str:
     if value is None:
         return "–"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
