@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,9 +14,9 @@ from drivers.continuity import Continuity, Gap
 from drivers.counters import Counters
 from drivers.framing import Splitter
 from drivers.messages import Received
-from drivers.protocols.base import Frame, FrameRun, Protocol
+from drivers.protocols.base import Frame, FrameRun, Protocol, ProtocolError
 from drivers.rate_check import RateCheck
-from drivers.samples import SampleArray, Status
+from drivers.samples import SampleArray, Status, empty_samples
 
 NO_CONDITION = Status(0)
 STRETCH_BYTES = 2048
@@ -61,6 +62,7 @@ class StreamDecoder:
         self, protocol: Protocol, bit_rate: float = 921600, latency_s: float = 0.1, counters: Counters | None = None
     ) -> None:
         self.counters = counters if counters is not None else Counters()
+        self._protocol = protocol
         self._splitter = Splitter(protocol, bit_rate, latency_s, self.counters)
         self._decoder = protocol.decoder()
         self._decoder.host_latency_s = latency_s
@@ -98,10 +100,16 @@ class StreamDecoder:
         self.feed_stretch(joined, ends, np.array([host_time_s for host_time_s, _ in chunks]))
 
     def prepare(self) -> None:
-        """Make compiled code ready for :meth:`feed_chunks`; where it never was compiled this takes seconds."""
+        """Make compiled code ready for what comes; where it never was compiled this takes seconds."""
         self._splitter.prepare()
-        nothing = np.zeros(0, np.int64)
-        self._decoder.decode(FrameRun(np.zeros(0, np.uint8), nothing, nothing, np.zeros(0)))
+        samples = empty_samples(3, self._protocol.temperatures)
+        samples["sequence"] = np.arange(3)
+        samples["time"] = samples["sequence"] / 2000
+        with suppress(ProtocolError):  # it cannot send, and so gives no samples either
+            data = np.frombuffer(self._protocol.encode_samples(samples), np.uint8)
+            trial = StreamDecoder(self._protocol)
+            trial.feed_stretch(data, np.array([len(data)]), np.zeros(1))
+            trial.take()
 
     def feed_stretch(self, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]) -> None:
         """Take many chunks at once, which end at ``ends`` in ``data`` and came at ``times_s`` [simulated s]."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from drivers.protocols.base import Decoded, Frame, FrameRun
 from drivers.protocols.timelines import Placed
-from drivers.samples import SampleArray, Status, empty_samples
+from drivers.protocols.unpack import samples_of
+from drivers.samples import SampleArray, Status
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -29,8 +30,8 @@ def table(frames: Sequence[Frame], indices: NDArray[np.intp], skip: int, length:
     if isinstance(frames, FrameRun):
         rows: Bytes = sliding_window_view(frames.data, length)[frames.starts[indices] + skip]
         return rows
-    joined = b"".join([frames[index].data[skip : skip + length] for index in indices.tolist()])
-    return np.frombuffer(joined, np.uint8).reshape(-1, length)
+    joined = bytearray().join([frames[index].data[skip : skip + length] for index in indices.tolist()])
+    return np.frombuffer(joined, np.uint8).reshape(-1, length)  # writable, as compiled code tells the two apart
 
 
 def first_bytes(frames: Sequence[Frame], place: int = 0) -> Bytes:
@@ -53,7 +54,8 @@ def repeats(rows: Bytes, before: bytes) -> NDArray[np.bool_]:
     same = np.zeros(len(rows), np.bool_)
     if len(rows):
         same[0] = rows[0].tobytes() == before
-        same[1:] = (rows[1:] == rows[:-1]).all(axis=1)
+        alike = np.flatnonzero(rows[1:, -1] == rows[:-1, -1]) + 1  # few: checksums end here
+        same[alike] = (rows[alike] == rows[alike - 1]).all(axis=1)
     return same
 
 
@@ -69,7 +71,7 @@ class Readings:
     host_s: Floats
     gyro: Floats
     accel: Floats
-    temperature: Floats
+    temperature: NDArray[np.floating[Any]]
     status: NDArray[np.uint32]
     count: NDArray[np.int64]
     stamp: NDArray[np.int64]
@@ -102,15 +104,16 @@ class Readings:
 
     def samples(self, placed: Placed) -> SampleArray:
         """Return the samples; rates are multiplied by the measured interval."""
-        samples = empty_samples(len(self), self.temperature.shape[1])
-        interval_s = placed.interval_s[:, None]
-        samples["sequence"] = (placed.sequence % 2**32).astype(np.uint32)
-        samples["time"] = placed.time_s
-        samples["dtheta"] = self.gyro * interval_s if self.gyro_is_rate else self.gyro
-        samples["dv"] = self.accel * interval_s if self.accel_is_rate else self.accel
-        samples["temperature"] = self.temperature
-        samples["status"] = self.status if placed.measured else self.status | np.uint32(Status.START_UP)
-        return samples
+        whole = np.ones(len(self))
+        interval_s = np.ascontiguousarray(placed.interval_s)
+        return samples_of(
+            placed.sequence,
+            placed.time_s,
+            (np.ascontiguousarray(self.gyro), interval_s if self.gyro_is_rate else whole),
+            (np.ascontiguousarray(self.accel), interval_s if self.accel_is_rate else whole),
+            np.ascontiguousarray(self.temperature, np.float32),
+            self.status if placed.measured else self.status | np.uint32(Status.START_UP),
+        )
 
 
 _COLUMNS = ("frame", "host_s", "gyro", "accel", "temperature", "status", "count", "stamp", "same")

@@ -39,6 +39,7 @@ from drivers.protocols.readings import (
     repeats,
     table,
 )
+from drivers.protocols.stim300_unpack import TEMPERATURES, Counts
 from drivers.protocols.timelines import CounterTimeline
 from drivers.samples import SampleArray, Status, empty_samples
 
@@ -52,8 +53,8 @@ _ANGLE_LSB_RAD = np.deg2rad(2.0**-21)
 _ANGLE_TURN_RAD = np.deg2rad(8.0)
 """An integrated angle wraps in [−4°, 4°)."""
 _TEMPERATURE_LSB_C = 2.0**-8
+_WRAP = 2.0**24
 _UNITS = ("rate", "incremental", "average", "integrated")
-TEMPERATURES = 6
 
 
 class Range(NamedTuple):
@@ -85,6 +86,11 @@ class Content(NamedTuple):
     def clusters(self) -> int:
         """Return the number of clusters of three axes."""
         return 1 + self.accel + self.inclination
+
+    @property
+    def temperature_at(self) -> int:
+        """Return where temperatures begin, 0 where there are none."""
+        return (1 + 10 * self.clusters) * self.temperature
 
     @property
     def length(self) -> int:
@@ -386,7 +392,7 @@ class Stim300Decoder(Decoder):
         self._identity = Identity("STIM300", "", "", "mems")
         self._held: Readings | None = None  # a first row, whose interval is not known before the second's counter
         self._before = b""
-        self._reached: NDArray[np.int64] | None = None  # what the integrating outputs showed last
+        self._reached: NDArray[np.float64] | None = None  # what the integrating outputs showed last
         self._sequence = -1
         self._starting = True
 
@@ -458,47 +464,45 @@ class Stim300Decoder(Decoder):
     ) -> Readings:
         """Return the readings of normal datagrams in SI."""
         setting, scale = self._setting, RANGES[self._setting.accel_range_g]
-        counts = np.zeros((len(rows), 6), np.int64)
-        counts[:, :3] = _from_int24(rows[:, 1:10])
-        status = _conditions(rows[:, 10], GYRO_AXES)
-        if content.accel:
-            counts[:, 3:] = _from_int24(rows[:, 11:20])
-            status |= _conditions(rows[:, 20], ACCEL_AXES)
-        else:
-            status |= np.uint32(ACCEL_INVALID)
-        status |= np.uint32(GYRO_AXES[list(setting.gyro_off)].sum() + ACCEL_AXES[list(setting.accel_off)].sum())
+        read = Counts(rows, content.accel, content.temperature_at, *_CONDITIONS)
+        counts = read.axes
+        off = int(GYRO_AXES[list(setting.gyro_off)].sum() + ACCEL_AXES[list(setting.accel_off)].sum())
+        read.status |= np.uint32(off if content.accel else off | int(ACCEL_INVALID))
         same = repeats(rows, self._before)
         self._before = rows[-1].tobytes()
-        gyro: NDArray[np.float64] = counts[:, :3].astype(np.float64)
-        accel: NDArray[np.float64] = counts[:, 3:].astype(np.float64)
-        gained = np.diff(counts, axis=0, prepend=counts[:1] if self._reached is None else self._reached[None, :])
-        first = self._reached is None
-        self._reached = counts[-1]
+        first, integrating = self._reached is None, "integrated" in (setting.gyro_output, setting.accel_output)
+        gained = self._gained(counts) if integrating else counts
         if setting.gyro_output == "integrated":
-            gyro = _wrapped(gained[:, :3], 2**24).astype(np.float64) * _ANGLE_LSB_RAD
+            gyro = gained[:, :3] * _ANGLE_LSB_RAD
         else:
-            gyro *= _ANGLE_LSB_RAD if setting.gyro_output == "incremental" else _RATE_LSB_RADPS
+            gyro = counts[:, :3] * (_ANGLE_LSB_RAD if setting.gyro_output == "incremental" else _RATE_LSB_RADPS)
         if setting.accel_output == "integrated":
-            accel = _wrapped(gained[:, 3:], 2**24).astype(np.float64) * 2.0**-scale.velocity_bits
+            accel = gained[:, 3:] * 2.0**-scale.velocity_bits
         else:
             incremental = setting.accel_output == "incremental"
-            accel *= 2.0**-scale.velocity_bits if incremental else 2.0**-scale.g_bits * STANDARD_GRAVITY_MPS2
-        latency_us = rows[:, -6].astype(np.int64) << 8 | rows[:, -5]
+            step = 2.0**-scale.velocity_bits if incremental else 2.0**-scale.g_bits * STANDARD_GRAVITY_MPS2
+            accel = counts[:, 3:] * step
         readings = Readings(
             frame=run,
-            host_s=host_s - latency_us * 1e-6,
+            host_s=host_s - read.latency_us * 1e-6,
             gyro=gyro,
             accel=accel,
-            temperature=_from_temperatures(rows, content),
-            status=status,
-            count=rows[:, -7].astype(np.int64),
-            stamp=latency_us,
+            temperature=read.celsius,
+            status=read.status,
+            count=read.counter,
+            stamp=read.latency_us,
             same=same,
             gyro_is_rate=setting.gyro_output in ("rate", "average"),
             accel_is_rate=setting.accel_output in ("rate", "average"),
         )
-        integrating = "integrated" in (setting.gyro_output, setting.accel_output)
         return readings.rows(slice(1, None)) if first and integrating else readings
+
+    def _gained(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much wrapping counts went on from row to row, each the shortest way."""
+        before = counts[:1] if self._reached is None else self._reached[None, :]
+        self._reached = counts[-1]
+        gained: NDArray[np.float64] = np.diff(counts, axis=0, prepend=before)
+        return (gained + _WRAP / 2) % _WRAP - _WRAP / 2
 
     def _special(self, frame: Frame, decoded: Decoded) -> None:
         """Take what a special datagram says."""
@@ -554,25 +558,8 @@ def _without_crlf(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[len(CRLF) :]) if frame.data[0] == CRLF[0] else frame
 
 
-def _from_int24(octets: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return (n, 9) bytes as (n, 3) signed counts."""
-    wide = octets.reshape(-1, 3, 3).astype(np.int32)
-    counts: NDArray[np.int32] = (wide[:, :, 0] << 24 | wide[:, :, 1] << 16 | wide[:, :, 2] << 8) >> 8
-    return counts
-
-
-def _wrapped(gained: NDArray[np.int64], modulus: int) -> NDArray[np.int64]:
-    """Return differences of a wrapping count, each the shortest way."""
-    return (gained + modulus // 2) % modulus - modulus // 2
-
-
-def _conditions(byte: NDArray[np.uint8], axes: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return the named conditions of one cluster's status byte; an error of no named axis is one of all three."""
-    return _CONDITIONS[int(axes[0])][byte]
-
-
 def _condition_table(axes: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return the conditions for each of the 256 status bytes."""
+    """Return the conditions for each of the 256 status bytes; an error of no named axis is one of all three."""
     words = np.zeros(256, np.uint32)
     for byte in range(256):
         named = [Status.OVERLOAD, Status.OUT_OF_RANGE, Status.START_UP, Status.INTEGRITY]
@@ -584,15 +571,4 @@ def _condition_table(axes: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return words
 
 
-_CONDITIONS = {int(axes[0]): _condition_table(axes) for axes in (GYRO_AXES, ACCEL_AXES)}
-
-
-def _from_temperatures(rows: NDArray[np.uint8], content: Content) -> NDArray[np.float64]:
-    """Return the temperatures (n, 6) [°C]: gyros x, y, z, accelerometers x, y, z; NaN where not sent."""
-    celsius = np.full((len(rows), TEMPERATURES), np.nan)
-    if content.temperature:
-        start = 1 + 10 * content.clusters
-        for cluster in range(1 + content.accel):
-            octets = np.ascontiguousarray(rows[:, start + 7 * cluster : start + 7 * cluster + 6])
-            celsius[:, 3 * cluster : 3 * cluster + 3] = octets.view(">i2") * _TEMPERATURE_LSB_C
-    return celsius
+_CONDITIONS = (_condition_table(GYRO_AXES), _condition_table(ACCEL_AXES))

@@ -119,6 +119,9 @@ class FrameStep:
     """
 
     ENOUGH = 8
+    TOLERANCE = 0.3
+    BLOCK = 1024
+    """Rows judged at once: where every row is odd, work grows with their square."""
 
     def __init__(self, step: float | None = None) -> None:
         self.step = step
@@ -127,19 +130,48 @@ class FrameStep:
 
     def count(self, ticks: Ints) -> Ints:
         """Return by how many frames each row follows the one before; 0 where its step is 0."""
-        steps = ticks.astype(np.float64)
-        moving = steps > 0
-        if not moving.any():
-            return np.zeros(len(steps), np.int64)
+        moving = np.flatnonzero(ticks > 0)
+        steps = ticks[moving].astype(np.float64)
+        if not len(steps):
+            return np.zeros(len(ticks), np.int64)
         if self.step is None:
-            self.step = float(np.median(steps[moving]))
-        frames = moving.astype(np.int64)
-        if np.all(np.abs(steps[moving] / self.step - 1) < 0.3):
-            self._short_before, self._run = False, (1, 0)
-            self.step += 0.1 * (float(steps[moving].mean()) - self.step)
+            self.step = float(np.median(steps))
+        frames = np.ones(len(steps), np.int64)
+        if len(self._odd(steps)):
+            for first in range(0, len(steps), self.BLOCK):
+                self._judge_block(steps[first : first + self.BLOCK], frames[first : first + self.BLOCK])
         else:
-            frames[moving] = [self._judge(step) for step in steps[moving].tolist()]
-        return frames
+            self._forget()
+            self.step += 0.1 * (float(steps.mean()) - self.step)
+        counted = np.zeros(len(ticks), np.int64)
+        counted[moving] = frames
+        return counted
+
+    def _odd(self, steps: Floats) -> NDArray[np.intp]:
+        """Return which steps are not one frame's."""
+        assert self.step is not None
+        return np.flatnonzero(np.abs(steps / self.step - 1) >= self.TOLERANCE)
+
+    def _forget(self) -> None:
+        """Note that a step of one frame came: what was odd before it stands alone."""
+        self._short_before, self._run = False, (1, 0)
+
+    def _judge_block(self, steps: Floats, frames: Ints) -> None:
+        """Put into ``frames`` what odd steps are; one that is a new rate makes others odd behind it."""
+        next_row = 0
+        while next_row < len(steps):
+            step, first = self.step, next_row
+            for row in (self._odd(steps[first:]) + first).tolist():
+                if row > next_row:
+                    self._forget()
+                frames[row] = self._judge(float(steps[row]))
+                next_row = row + 1
+                if self.step != step:
+                    break
+            else:
+                if next_row < len(steps):
+                    self._forget()
+                return
 
     def _judge(self, step: float) -> int:
         """Return by how many frames one row follows the one before; adopt a new rate."""
@@ -308,13 +340,15 @@ class _HostFit:
         windows = np.where(known, np.floor(host_s / (self.WINDOW_LATENCIES * latency_s)), -1).astype(np.int64)
         edges = np.flatnonzero(np.diff(windows)) + 1
         delays = host_s - number * self.interval_s
+        opened = self.window
         for low, high in zip([0, *edges.tolist()], [*edges.tolist(), len(windows)], strict=True):
             if windows[low] != self.window:
                 self._close()
-                self._fit(self.SPAN_LATENCIES * latency_s)
                 self.window = int(windows[low])
             row = low + int(np.argmin(delays[low:high]))
             self.best = min(self.best, (float(delays[row]), int(number[row]), float(host_s[row])))
+        if self.window != opened:
+            self._fit(self.SPAN_LATENCIES * latency_s)
 
     def _close(self) -> None:
         if np.isfinite(self.best[0]):
