@@ -14,7 +14,7 @@ from typing import Any
 
 def main(model: str, out: str, *recordings: str) -> int:
     """Run the workflow; return 0, or 2 where a recording or the model was refused."""
-    os.nice(19)
+    os.nice(10)
     from drivers.recording import RecordingError, read_recording
     from inertial.documents import DocumentError
     from simulators.discrepancy.report import discrepancy
