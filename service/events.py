@@ -6,7 +6,7 @@ import asyncio
 import secrets
 import threading
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -71,8 +71,10 @@ class EventHub:
             with suppress(RuntimeError):  # its loop has closed
                 client.loop.call_soon_threadsafe(client.put, event)
 
-    async def subscribe(self, heartbeat_s: float = HEARTBEAT_S, after: str | None = None) -> AsyncIterator[Event]:
+    async def subscribe(self, heartbeat_s: float = HEARTBEAT_S, after: str | None = None) -> AsyncGenerator[Event]:
         """Yield events as they come, and a ``heartbeat`` (with how many were dropped) when none came for a while.
+
+        Close it (``aclosing``) to be forgotten.
 
         Parameters
         ----------

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Path, Request, Response
+from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import FileResponse
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from inertial.documents import DocumentError
@@ -15,6 +15,7 @@ from service.api.common import REFUSALS as RUN_REFUSALS
 from service.api.common import ControllerHere, as_problem, who_asks
 from service.api.models import Body, Text
 from service.api.problems import ProblemError, responses
+from service.api.stream import DOCUMENTED, EventStream, Message
 from service.controller import Controller
 from service.discrepancies import OVER, DiscrepancyKeyReused, Job, TooManyDiscrepancies, UnknownDiscrepancy, progress_of
 from service.discrepancy_desk import REFUSALS, RunInHand, UnknownInput
@@ -151,33 +152,29 @@ def read_discrepancy_report(job_id: JobId, controller: ControllerHere) -> FileRe
     return FileResponse(page, media_type="text/html; charset=utf-8")
 
 
-def known_job(job_id: JobId, controller: ControllerHere) -> None:
-    """Refuse an unknown id before the stream begins."""
-    _known(controller, job_id)
-
-
 @router.get(
     "/discrepancies/{job_id}/events",
-    response_class=EventSourceResponse,
-    responses=responses(404, 422),
-    dependencies=[Depends(known_job)],
+    response_class=Response,
+    responses={**DOCUMENTED, **responses(404, 422)},
 )
-async def follow_discrepancy(job_id: JobId, controller: ControllerHere) -> AsyncIterator[ServerSentEvent]:
+def follow_discrepancy(job_id: JobId, controller: ControllerHere) -> Response:
     """Stream ``discrepancy`` (how it stands, at once and at every step) until it is over, and ``heartbeat``."""
-    stream = controller.hub.subscribe()
-    facts = progress_of(_known(controller, job_id))
-    yield ServerSentEvent(event="discrepancy", data=facts, retry=2_000)
-    if facts["state"] in OVER:
-        return
-    async for event in stream:
-        if event.kind == "heartbeat":
-            yield ServerSentEvent(event="heartbeat", data=event.data)
-            facts = progress_of(controller.desk.jobs.job(job_id))  # one that ended before we subscribed
-        elif event.kind == "discrepancy" and event.data["id"] == job_id:
-            facts = event.data
-            yield ServerSentEvent(event="discrepancy", data=facts)
-        if facts["state"] in OVER:
-            return
+    _known(controller, job_id)
+    return EventStream(_progress(controller, job_id))
+
+
+async def _progress(controller: Controller, job_id: str) -> AsyncGenerator[Message]:
+    async with aclosing(controller.hub.subscribe()) as stream:
+        facts = progress_of(_known(controller, job_id))
+        yield Message("discrepancy", facts, retry_ms=2_000)
+        while facts["state"] not in OVER:
+            event = await anext(stream)
+            if event.kind == "heartbeat":
+                yield Message("heartbeat", event.data)
+                facts = progress_of(controller.desk.jobs.job(job_id))  # one that ended before we subscribed
+            elif event.kind == "discrepancy" and event.data["id"] == job_id:
+                facts = event.data
+                yield Message("discrepancy", facts)
 
 
 @router.post("/models/adopt", responses=responses(400, 404, 409, 413, 422, 503))

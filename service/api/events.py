@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, Callable
+from contextlib import aclosing
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header, Query, Request
-from fastapi.sse import EventSourceResponse, ServerSentEvent
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 
 from service.api.common import ControllerHere, principal_of
 from service.api.problems import ProblemError, responses
+from service.api.stream import DOCUMENTED, EventStream, Message
+from service.controller import Controller
 
 router = APIRouter(tags=["events"])
 
@@ -23,8 +25,8 @@ def room_for_one(controller: ControllerHere) -> None:
 
 @router.get(
     "/events",
-    response_class=EventSourceResponse,
-    responses=responses(422, 503),
+    response_class=Response,
+    responses={**DOCUMENTED, **responses(422, 503)},
     dependencies=[Depends(room_for_one)],
 )
 async def events(
@@ -32,19 +34,29 @@ async def events(
     controller: ControllerHere,
     limit: Annotated[int | None, Query(ge=1, le=1_000_000, description="End after so many events.")] = None,
     last_event_id: Annotated[str | None, Header(max_length=60, description="Go on after this event.")] = None,
-) -> AsyncIterator[ServerSentEvent]:
+) -> Response:
     """Stream ``status`` (once), ``state``, ``progress``, ``condition``, ``lease``, ``samples``, ``heartbeat``."""
     principal = principal_of(request)
     token_id = principal.token_id if principal is not None else None
-    stream = controller.hub.subscribe(after=last_event_id)
-    yield ServerSentEvent(event="status", data=controller.status().facts, retry=1_000)
-    sent = 1
-    if limit is not None and sent >= limit:
+
+    def valid() -> bool:
+        return token_id is None or bool(request.app.state.access().tokens.holds(token_id))
+
+    return EventStream(_messages(controller, last_event_id, limit, valid))
+
+
+async def _messages(
+    controller: Controller, after: str | None, limit: int | None, valid: Callable[[], bool]
+) -> AsyncGenerator[Message]:
+    hub, sent = controller.hub, 1
+    yield Message("status", controller.status().facts, retry_ms=1_000)
+    if sent == limit:
         return
-    async for event in stream:
-        if token_id is not None and not request.app.state.access().tokens.holds(token_id):
-            return
-        yield ServerSentEvent(event=event.kind, data=event.data, id=controller.hub.id_of(event))
-        sent += 1
-        if limit is not None and sent >= limit:
-            return
+    async with aclosing(hub.subscribe(after=after)) as stream:
+        async for event in stream:
+            if not valid():
+                return
+            yield Message(event.kind, event.data, hub.id_of(event))
+            sent += 1
+            if sent == limit:
+                return

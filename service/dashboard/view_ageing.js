@@ -19,7 +19,7 @@ export async function ageingView(main) {
   const blocks = Object.entries(facts.blocks);
   const detail = h("div", { class: "grid" });
   const rows = blocks.map(([name, block]) => [
-    h("button", { onclick: () => show(detail, name, block, facts) }, said(name)),
+    h("button", { onclick: () => show(detail, name) }, said(name)),
     said(String(block.checks)),
     said(block.last_date || `${block.last_months} months`),
     said(leaving(block.leaves_limit)),
@@ -32,7 +32,7 @@ export async function ageingView(main) {
     h("div", { class: "grid" }, h("section", { class: "card" }, rows.length ? table([t("block"), t("checks"), t("last_check"), t("leaves"), t("attention")], rows, t("ageing")) : h("p", { class: "dim" }, t("none")))),
     detail,
   );
-  if (blocks.length) show(detail, ...blocks[0], facts);
+  if (blocks.length) await show(detail, blocks[0][0]);
 }
 
 function leaving(found) {
@@ -41,7 +41,9 @@ function leaving(found) {
   return `> ${(100 * found.beyond_horizon).toFixed(0)} %`;
 }
 
-function show(place, name, block, facts) {
+async function show(place, name) {
+  const facts = await get(`/ageing?block=${encodeURIComponent(name)}`);
+  const block = facts.blocks[name];
   const cards = Object.entries(block.terms).map(([term, curve]) => {
     const [unit, scale] = SCALES[term[0]];
     const plot = h("div", { class: "plot tall", role: "img", "aria-label": `${name} ${term}` });

@@ -1,0 +1,188 @@
+"""The dashboard in Debian's Chromium, before the real service and a simulated block on a line."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from browser_bench import chromium, free_port, shots
+from line_service import Bench, ServiceProcess
+from playwright.sync_api import Browser, Page, expect
+
+SIZES = {"1280": (1280, 900), "390": (390, 844)}
+STALE_WITHIN_S = 1.0
+TRIES = 3
+"""A busy machine only ever makes the page later: the earliest of a few tries is what the page itself needs."""
+AXE_RULES = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path)
+    yield made
+    made.close()
+
+
+expect.set_options(timeout=60_000)
+
+
+class Seen:
+    """A page, with everything that the browser complained of."""
+
+    def __init__(self, browser: Browser, address: str, **options: object) -> None:
+        self.context = browser.new_context(viewport={"width": 1280, "height": 900}, **options)  # type: ignore[arg-type]
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(60_000)
+        self.complaints: list[str] = []
+        self.page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.goto(address)
+
+
+def stale(page: Page) -> None:
+    page.wait_for_selector("#stale:not(:empty)")
+
+
+def fresh(page: Page) -> None:
+    page.wait_for_selector("#stale:empty", state="attached")
+
+
+def earliest(break_it: Callable[[], None], mend: Callable[[], None], page: Page) -> float:
+    """Break something up to three times; return the shortest time [s] in which the page said STALE."""
+    took = []
+    for _ in range(TRIES):
+        fresh(page)
+        began = time.monotonic()
+        break_it()
+        stale(page)
+        took.append(time.monotonic() - began)
+        assert page.locator(".verdict").get_attribute("data-verdict") == "warn"
+        assert "FIT" not in page.locator(".verdict .word").inner_text()
+        mend()
+        if took[-1] <= STALE_WITHIN_S:
+            break
+    fresh(page)
+    return min(took)
+
+
+@pytest.mark.timeout(600)
+def test_an_operator_sees_a_whole_run_and_never_old_data_as_good(
+    browser: Browser, bench: Bench, pytestconfig: pytest.Config
+) -> None:
+    service = ServiceProcess(bench, port := free_port())
+    pictures = shots(pytestconfig.rootpath / "test-output")
+    address = f"http://127.0.0.1:{port}/"
+    try:
+        seen = Seen(browser, address)
+        page = seen.page
+        _start_with_keys(page)
+        for verdict in ("busy", "good"):
+            page.wait_for_selector(f".verdict[data-verdict={verdict}]")
+            page.screenshot(path=pictures / f"run-{verdict}.png", full_page=True)
+        expect(page.locator(".verdict .word")).to_have_text("FIT")
+        expect(page.locator(".verdict")).to_contain_text("verified: navigation at rest")
+        expect(page.locator(".path li[aria-current=step]")).to_contain_text("READY")
+        _shows_what_was_found(page, service)
+        _shows_the_pages(page, service, pictures)
+        page.goto("about:blank")
+        _is_accessible(browser, address, pictures)
+
+        page.goto(address)
+        silent = earliest(
+            lambda: service.process.send_signal(signal.SIGSTOP),
+            lambda: service.process.send_signal(signal.SIGCONT),
+            page,
+        )
+        assert silent <= STALE_WITHIN_S
+
+        unplugged = earliest(
+            lambda: bench.inject("unplug", duration_s=30.0),
+            lambda: page.screenshot(path=pictures / "stale.png"),  # type: ignore[arg-type, return-value]
+            page,
+        )
+        assert unplugged <= STALE_WITHIN_S
+        expect(page.locator(".verdict")).to_have_attribute("data-verdict", "bad")  # READY was withdrawn
+        assert not [one for one in seen.complaints if "Content Security Policy" in one]
+        assert not [one for one in seen.complaints if not re.search(r"Failed to load|ERR_|net::", one)]
+    finally:
+        service.process.send_signal(signal.SIGCONT)
+        service.terminate()
+
+
+def _start_with_keys(page: Page) -> None:
+    page.wait_for_selector("[data-command=start]:enabled")
+    page.focus("[data-command=start]")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("dialog[open]")
+    page.keyboard.press("Escape")
+    expect(page.locator("dialog")).to_be_hidden()
+    page.focus("[data-command=start]")
+    page.keyboard.press("Enter")
+    page.keyboard.type("Ada")
+    page.keyboard.press("Enter")
+
+
+def _shows_what_was_found(page: Page, service: ServiceProcess) -> None:
+    run = service.get("/runs")["runs"][0]
+    assert run["operator"] == "Ada"
+    terms = service.get(f"/runs/{run['run_id']}/result")["terms"]["final"]
+    shown = f"{terms['g_radps'][0] / (3.141592653589793 / 180 / 3600):.4f}".replace("-", "−")
+    expect(page.get_by_role("region", name="Terms by stage")).to_contain_text(shown)
+    expect(page.locator("main")).to_contain_text("After 300 s:")
+    expect(page.get_by_role("region", name="Events").first).to_contain_text("VERIFYING → READY")
+    expect(page.locator("figure")).to_have_count(7)
+    page.wait_for_selector("figure:nth-of-type(7) .plot svg")
+    names = [one["name"] for one in service.get("/conditions")["conditions"]]
+    assert page.locator(".conditions details").evaluate_all("all => all.map((one) => one.dataset.name)") == names
+
+
+def _shows_the_pages(page: Page, service: ServiceProcess, pictures: Path) -> None:
+    run_id = service.get("/runs")["runs"][0]["run_id"]
+    base = page.url.split("#")[0]
+    for name, words in {
+        "runs": "shift compensated",
+        f"run/{run_id}": "STAGE 1 → STAGE 2",
+        f"compare/{run_id}/{run_id}": "0.0000",
+        "library": "calibration",
+        "discrepancies": "No discrepancy search",
+        "ageing": "Ageing",
+    }.items():
+        page.goto(f"{base}#/{name}")
+        expect(page.locator("main")).to_contain_text(words)
+        page.screenshot(path=pictures / f"page-{name.split('/')[0]}.png", full_page=True)
+    page.goto(f"{base}#/run/{run_id}")
+    expect(page.frame_locator("iframe").locator("h1")).to_have_text("Pre-launch trim of the inertial block")
+
+
+def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:
+    """WCAG A and AA by axe, in both widths, lights and languages; nothing wider than the screen."""
+    seen = Seen(browser, address, bypass_csp=True)  # axe is no script of ours
+    page = seen.page
+    for language in ("en", "fa"):
+        for theme in ("light", "dark"):
+            page.evaluate(f"localStorage.setItem('inertrim.language', '{language}')")
+            page.evaluate(f"localStorage.setItem('inertrim.theme', '{theme}')")
+            page.reload()
+            page.wait_for_selector(".verdict:not([data-verdict=warn]) .word")
+            page.wait_for_selector("figure:nth-of-type(7) .plot svg")
+            assert page.evaluate("document.documentElement.dir") == {"en": "ltr", "fa": "rtl"}[language]
+            for size, (width, height) in SIZES.items():
+                page.set_viewport_size({"width": width, "height": height})
+                page.wait_for_timeout(300)
+                page.screenshot(path=pictures / f"live-{size}-{theme}-{language}.png", full_page=True)
+                assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (language, theme, size)
+                found = Axe().run(page, options=AXE_RULES).response["violations"]
+                assert not found, json.dumps([(one["id"], [n["html"] for n in one["nodes"]][:3]) for one in found])
+    seen.context.close()
