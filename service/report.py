@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 from inertial.documents import CHANNELS, Result
+from service.radial import radial_without
 
 MG_MPS2 = 9.80665e-3
 DEG_H_RADPS = math.pi / 180 / 3600
@@ -39,6 +40,8 @@ code{font:12px/1.4 ui-monospace,Menlo,monospace;overflow-wrap:anywhere}
 .wide{overflow-x:auto}
 svg{width:100%;height:auto;display:block}
 svg text{font:11px system-ui,sans-serif;fill:var(--dim)}
+.small td{white-space:nowrap;font-size:.75rem;padding:.25rem .3rem}
+.sign td{height:2.6rem;min-width:8rem;vertical-align:bottom}
 @media print{body{max-width:none;padding:0}h2{break-after:avoid}table,svg{break-inside:avoid}}
 """
 
@@ -54,17 +57,20 @@ def render(result: Result) -> str:
     sections = [
         _head(result),
         _verdict(result),
+        _section("Identity", _identity(result)),
         _section("Terms added to the readings", _terms_table(result) + _terms_figure(result)),
         _section("Verification on fresh data", _verification(result)),
-        _section("Navigation error to expect at rest", _budget(result)),
+        _section("Navigation error to expect at rest", _budget(result) + _navigation_figure(result)),
         _section("What the run could not see", _unobservable(result)),
         _section("Site and reference", _facts({**result.site, **result.reference})),
         _section("Alignment", _facts(result.alignment)),
         _section("Time used", _windows_figure(result)),
+        _section("Covariance of the terms", _covariance(result)),
         _section("Correlation of the terms", _correlation(result)),
         _section("Noise of the block", _noise(result)),
         _section("Block and conditions", _facts({**result.block, **result.conditions})),
         _section("Inputs", _inputs(result)),
+        _section("Signatures", _signatures(result)),
     ]
     title = f"inertrim · {result.verdict}"
     return (
@@ -94,6 +100,15 @@ def _verdict(result: Result) -> str:
         f'<section class="verdict {kind}"><b>{MARKS[result.verdict]} {escape(result.verdict)}</b>'
         f"<p>{words} · state {escape(result.state)}</p><ul>{reasons}</ul></section>"
     )
+
+
+def _identity(result: Result) -> str:
+    """Tell which block, which program, which document: what a paper copy is checked by."""
+    identity = result.block.get("identity") or {}
+    rows = [[f"block {name.replace('_', ' ')}", str(value)] for name, value in sorted(identity.items())]
+    rows += [["program", result.software], ["method", result.method], ["state", result.state]]
+    rows += [["document", result.schema_], ["SHA-256 of the result", result.sha256()]]
+    return _table(["", ""], rows, text=True)
 
 
 def face_terms(result: Result, stage: str) -> list[float]:
@@ -176,12 +191,49 @@ def _budget(result: Result) -> str:
     if budget is None:
         return "<p>Not predicted.</p>"
     rows = []
+    without = radial_without(result, budget["time_s"])
     for index, time_s in enumerate(budget["time_s"]):
         causes = ", ".join(f"{one['cause']} {100 * one['share']:.0f} %" for one in budget["contributors"][index][:3])
         sizes = (budget["radial_m"]["50"], budget["radial_m"]["95"], budget["cep_m"])
         cells = ["not bounded" if size[index] is None else f"{size[index]:.2f}" for size in sizes]
-        rows.append([f"{time_s:g} s", *cells, causes])
-    return _table(["after", "radial 50 %, m", "radial 95 %, m", "CEP, m", "largest contributors"], rows)
+        rows.append([f"{time_s:g} s", f"{without[index]:.2f}", *cells, causes])
+    return _table(
+        ["after", "without terms, m", "radial 50 %, m", "radial 95 %, m", "CEP, m", "largest contributors"], rows
+    )
+
+
+def _navigation_figure(result: Result) -> str:
+    """Draw the error over time without the terms, and with them (95 %) at the times of the budget; logarithmic."""
+    if result.budget is None:
+        return ""
+    ends, sizes = result.budget["time_s"], result.budget["radial_m"]["95"]
+    known = [(time_s, size) for time_s, size in zip(ends, sizes, strict=True) if size]
+    times = [ends[-1] * step / 30 for step in range(1, 31)]
+    without = [(time_s, size) for time_s, size in zip(times, radial_without(result, times), strict=True) if size > 0]
+    if not without or not known:
+        return ""
+    every = [math.log10(size) for _, size in (*without, *known)]
+    low, high = math.floor(min(every)), math.ceil(max(every))
+
+    def place(time_s: float, size: float) -> str:
+        return f"{60 + 800 * time_s / ends[-1]:.1f},{190 - 170 * (math.log10(size) - low) / max(high - low, 1):.1f}"
+
+    lines = [
+        f'<line x1="60" x2="860" y1="{190 - 170 * (decade - low) / max(high - low, 1):.1f}" '
+        f'y2="{190 - 170 * (decade - low) / max(high - low, 1):.1f}" stroke="currentColor" opacity=".15"/>'
+        f'<text x="4" y="{194 - 170 * (decade - low) / max(high - low, 1):.1f}">1e{decade} m</text>'
+        for decade in range(low, high + 1)
+    ]
+    path = " ".join(place(*point) for point in without)
+    dots = "".join(
+        f'<circle cx="{place(*point).split(",")[0]}" cy="{place(*point).split(",")[1]}" r="5" fill="var(--good)"/>'
+        for point in known
+    )
+    return (
+        f'<svg viewBox="0 0 900 225" role="img" aria-label="Navigation error at rest">{"".join(lines)}'
+        f'<polyline points="{path}" fill="none" stroke="var(--bad)" stroke-width="2.5" stroke-dasharray="7 5"/>{dots}'
+        f'<text x="60" y="216">0 to {ends[-1]:g} s · dashed: without the terms · dots: with them, 95 %</text></svg>'
+    )
 
 
 def _unobservable(result: Result) -> str:
@@ -206,6 +258,14 @@ def _windows_figure(result: Result) -> str:
             f'<text x="{left:.1f}" y="60">{window.start_s:.1f} s</text>'
         )
     return f'<svg viewBox="0 0 900 66" role="img" aria-label="Windows">{"".join(parts)}</svg>'
+
+
+def _covariance(result: Result) -> str:
+    rows = [
+        [name, *("not bounded" if value is None else f"{value:.3e}" for value in row)]
+        for name, row in zip(result.order, result.covariance, strict=True)
+    ]
+    return f'<div class="small">{_table(["SI", *result.order], rows)}</div>' if rows else "<p>No covariance.</p>"
 
 
 def _correlation(result: Result) -> str:
@@ -238,6 +298,13 @@ def _noise(result: Result) -> str:
 def _inputs(result: Result) -> str:
     rows = [[name, f"<code>{escape(digest)}</code>"] for name, digest in sorted(result.inputs.items())]
     return _table(["file", "SHA-256"], rows, raw_from=1)
+
+
+def _signatures(result: Result) -> str:
+    """Leave room for those who answer for the result; the hash ties their names to this document."""
+    rows = [[role, "", "", ""] for role in ("Operator", "Engineer", "Released by")]
+    note = f'<p class="dim">for result {escape(result.sha256()[:16])}…, {escape(result.verdict)}</p>'
+    return f'<div class="sign">{_table(["role", "name", "date", "signature"], rows, text=True)}</div>{note}'
 
 
 def _facts(facts: dict[str, Any]) -> str:
