@@ -37,8 +37,8 @@ TWO_AT_ONCE = 0.2
 START_REAL_S = 600.0
 """Real seconds that a start may take: minutes, where nothing was compiled before and the machine is loaded."""
 ANSWER_REAL_S = 20.0
-SLACK_REAL_S = 10.0
-"""Real seconds that a busy host may add to any limit."""
+SLACK_REAL_S, ESTIMATE_REAL_S = 10.0, 60.0
+"""Real seconds that a busy host may add to any limit, and that it may take for the final estimate."""
 RECOVERY_S = 5_400.0
 """Simulated seconds from a fault to READY after which the service counts as stuck: settling, holding and a run."""
 SPAN_S, FIRST_S = 900.0, 3_600.0
@@ -329,7 +329,7 @@ def _dwell_limits_s(speed: float) -> dict[str, float]:
         "SELF_TEST": max(sequence.self_test_timeout_s, 5.0 * speed),
         "SETTLING": sequence.settling_max_s,
         "ALIGNING": sequence.align_s,
-        "VERIFYING": sequence.verify_s,
+        "VERIFYING": sequence.verify_s + ESTIMATE_REAL_S * speed,
         "HOLD": sequence.hold_max_s,
         "READY": sequence.validity_s,
         **dict.fromkeys(("STAGE_1", "STAGE_2", "STAGE_3"), sequence.stage_s),

@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import pytest
 import structlog
+import yaml
 from http_bench import serving, settings_for
 from prometheus_client.parser import text_string_to_metric_families
 from sequencer_bench import TERMS, result
@@ -172,3 +173,41 @@ def test_lines_for_a_console_are_text(lines: io.StringIO) -> None:
 def test_a_line_that_cannot_be_written_hurts_nobody(lines: io.StringIO) -> None:
     lines.close()
     structlog.get_logger().error("capture", path="capture.raw")
+
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+SERIES = re.compile(r"\b((?:inertrim|process)_[a-z_]+)")
+
+
+@pytest.mark.parametrize("file", ["prometheus/alerts.yml", "grafana/inertrim.json"])
+def test_alerts_and_dashboard_name_only_what_the_service_exports(service: Serving, file: str) -> None:
+    text = (DEPLOY / file).read_text()
+    if file.endswith(".yml"):
+        rules = [rule for group in yaml.safe_load(text)["groups"] for rule in group["rules"]]
+        expressions = [rule["expr"] for rule in rules]
+        assert all({"summary", "remedy"} <= set(rule["annotations"]) for rule in rules)
+    else:
+        board = json.loads(text)
+        expressions = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+        expressions += [one["query"] for one in board["templating"]["list"] if one["type"] == "query"]
+    used = {name for expression in expressions for name in SERIES.findall(expression)}
+    service[1].get("/api/v1/status")  # so that the histogram has a series
+    exported = {sample.name for family in families(service[1]).values() for sample in family.samples}
+    # Terms have no series before a run has given some; their names stand in the text all the same.
+    exported |= set(families(service[1]))
+    assert used
+    assert used <= exported, sorted(used - exported)
+
+
+def test_labels_that_rules_ask_for_exist(service: Serving) -> None:
+    """A rule on a label's value that is never told would be silent for ever."""
+    text = (DEPLOY / "prometheus" / "alerts.yml").read_text() + (DEPLOY / "grafana" / "inertrim.json").read_text()
+    told = {
+        (key, value)
+        for family in families(service[1]).values()
+        for one in family.samples
+        for key, value in one.labels.items()
+    }
+    asked = set(re.findall(r'\b(state|route|queue|target)=\\?"([^"\\]+)\\?"', text))
+    assert asked
+    assert asked <= told
