@@ -83,7 +83,8 @@ export function liveView(main) {
     if (!status) return;
     paintPath(place.path, status, shown.plan);
     paintCommand(place.command, status, stale);
-    paintConditions(place.conditions, shown.conditions);
+    // What a silent service said of its conditions holds no longer.
+    paintConditions(place.conditions, stale === "silent" ? shown.conditions.map((one) => ({ ...one, state: "unknown" })) : shown.conditions);
     paintLine(place.line, status, shown.counters, stale);
     refill(place.log, [live.log.length, live.log[0], i18n.language], () => paintLog(live.log));
   }
@@ -225,7 +226,7 @@ function paintConditions(place, conditions) {
         h(
           "details",
           { "data-name": one.name, open: open.has(one.name) },
-          h("summary", {}, h("span", { class: "mark", "aria-hidden": "true" }, MARKS[one.state]), tell(words.title), h("span", { class: "value" }, t(one.state), one.state === "ok" || one.state === "unknown" ? null : ` · ${measured(one)}`)),
+          h("summary", {}, h("span", { class: "mark", "aria-hidden": "true" }, MARKS[one.state]), tell(words.title), h("span", { class: "value" }, t(one.state), one.state === "ok" || one.state === "unknown" || one.measured === null ? null : ` · ${measured(one)}`)),
           h(
             "dl",
             {},
@@ -245,7 +246,6 @@ function paintConditions(place, conditions) {
 }
 
 function measured(one) {
-  if (one.measured === null) return "";
   return one.limit === null ? `${figures(one.measured)} ${one.unit}` : `${figures(one.measured)} / ${figures(one.limit)} ${one.unit}`;
 }
 

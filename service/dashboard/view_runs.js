@@ -95,7 +95,7 @@ export async function compareView(main, firstId, secondId) {
   ];
   fill(
     body,
-    card(t("terms"), table([t("sensor"), t("first"), t("second"), t("difference"), t("in_sigma")], rows, t("terms"))),
-    card(t("conditions"), table(["", t("first"), t("second")], about, t("conditions"))),
+    card(t("final_terms"), table([t("sensor"), t("first"), t("second"), t("difference"), t("in_sigma")], rows, t("final_terms"))),
+    card(t("circumstances"), table(["", t("first"), t("second")], about, t("circumstances"))),
   );
 }
