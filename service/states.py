@@ -143,6 +143,7 @@ class TrimStates(StateMachine):
 
     def __init__(self, on_change: Callable[[Name, Name, str, str], None], at: Name = Name.OFFLINE) -> None:
         self._on_change = on_change
+        self._enabled: dict[tuple[str, str | None], frozenset[str]] = {}
         super().__init__(start_value=at.value)
 
     @property
@@ -151,8 +152,11 @@ class TrimStates(StateMachine):
         return Name(str(self.current_state_value))
 
     def may(self, event: str, held: str | None) -> bool:
-        """Whether ``event`` leads anywhere from here."""
-        return any(str(enabled) == event for enabled in self.enabled_events(held=held))
+        """Whether ``event`` leads anywhere from here; worked out once for each state and what it holds."""
+        here = (str(self.current_state_value), held)
+        if here not in self._enabled:
+            self._enabled[here] = frozenset(str(enabled) for enabled in self.enabled_events(held=held))
+        return event in self._enabled[here]
 
     def after_transition(self, source: Any, target: Any, reason: str = "", detail: str = "") -> None:
         """Tell the owner of every change of state."""
