@@ -1,0 +1,246 @@
+"""Campaigns: what is refused, what a trial depends on, and that neither a killed worker nor a killed run changes it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from service import cli
+from service.campaign import read_campaign, run_campaign
+from service.campaign.design import levels_of, trial_seed
+from service.campaign.engine import run_chunk
+from service.errors import RefusedInput
+from simulators.scenarios import demo_model, demo_scenario, effect
+from simulators.simulate import simulate_recording
+
+GRID = """
+[campaign]
+study = "grid"
+repeats = 2
+seed = 5
+chunk = 1
+
+[vary]
+stage_s = 10
+noise_source = "model"
+storage_months = [6.0, 36.0]
+attitudes = [1, 2]
+"""
+CUBE = """
+[campaign]
+study = "latin_hypercube"
+trials = 20
+
+[vary]
+latitude_deg = { low = -50.0, high = 50.0 }
+noise = { low = 0.1, high = 10.0, scale = "log" }
+method = ["paper", "optimal"]
+"""
+
+
+def spec_at(folder: Path, text: str) -> Path:
+    path = folder / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def untimed(table: pa.Table) -> pa.Table:
+    return table.drop_columns([name for name in table.column_names if name.startswith("wall_")])
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "remedy"),
+    [
+        ("latitude_deg", "latitude_rad", "[vary] latitude_rad", "Did you mean latitude_deg?"),
+        ("trials = 20", "trial = 20", "[campaign] trial", "Did you mean trials?"),
+        ("trials = 20", "", "[campaign] trials", "--trials"),
+        ("high = 50.0", "high = 95.0", "[vary] latitude_deg", "not within -89 to 89"),
+        ("high = 50.0", "high = -60.0", "[vary] latitude_deg", "Give low < high"),
+        ('"paper"', '"guess"', "[vary] method", "none of optimal, paper"),
+        ('"latin_hypercube"', '"monte_carlo"', "[campaign] study", "grid"),
+        ('"latin_hypercube"', '"grid"', "[vary] latitude_deg", "latin_hypercube"),
+        ('"latin_hypercube"', '"reanalysis"', "[campaign] study", "[[block]]"),
+        ("[vary]", '[[block]]\nname = "a"\nmodel = "b"\nrecordings = ["c"]\n[vary]', "[campaign] study", "[[block]]"),
+        ("low = 0.1", "low = 0.0", "[vary] noise", "0.01"),
+    ],
+)
+def test_a_spec_is_refused_by_file_key_and_remedy(tmp_path: Path, old: str, new: str, place: str, remedy: str) -> None:
+    path = spec_at(tmp_path, CUBE.replace(old, new, 1))
+    with pytest.raises(RefusedInput) as refused:
+        read_campaign(path)
+    assert f"{path}: {place}" in str(refused.value)
+    assert remedy in str(refused.value)
+
+
+def test_recordings_of_a_fleet_must_be_there(tmp_path: Path) -> None:
+    text = '[campaign]\nstudy = "reanalysis"\n[[block]]\nname = "a"\nmodel = "a.json"\nrecordings = ["a/*.parquet"]\n'
+    with pytest.raises(RefusedInput, match=r"no\. 1 model.*there is no file"):
+        read_campaign(spec_at(tmp_path, text))
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(RefusedInput, match=r"no\. 1 recordings"):
+        read_campaign(spec_at(tmp_path, text))
+    (tmp_path / "a").mkdir()
+    for name in ("two", "one"):
+        (tmp_path / "a" / f"{name}.parquet").write_text("")
+    spec = read_campaign(spec_at(tmp_path, text))
+    assert [[path.stem for path in subject.recordings] for subject in spec.subjects] == [["one"], ["two"]]
+    assert spec.trials == 2
+
+
+def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(RefusedInput, match=r"pip install 'inertrim\[cluster\]'"):
+        run_campaign(read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet")
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_the_command_line_refuses_with_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        sys, "argv", ["inertrim", "campaign", str(tmp_path / "none.toml"), "--out", str(tmp_path / "o")]
+    )
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert left.value.code == 2
+    assert "--scheduler" in CliRunner().invoke(cli.app, ["campaign", "--help"], env={"COLUMNS": "200"}).output
+
+
+# ------------------------------------------------------------------ design
+
+
+def test_a_latin_hypercube_takes_every_slice_of_every_factor_once(tmp_path: Path) -> None:
+    spec = read_campaign(spec_at(tmp_path, CUBE))
+    points = [levels_of(spec, trial) for trial in range(20)]
+    latitude = np.array([point["latitude_deg"] for point in points])
+    noise = np.log10([point["noise"] for point in points])
+    assert sorted(((latitude + 50.0) / 5.0).astype(int)) == list(range(20))
+    assert sorted(((noise + 1.0) * 10.0).astype(int)) == list(range(20))
+    assert [point["method"] for point in points].count("paper") == 10
+
+
+def test_a_longer_hypercube_keeps_whole_cubes_and_needs_no_list_of_all(tmp_path: Path) -> None:
+    spec = read_campaign(spec_at(tmp_path, CUBE), trials=10**9)
+    last = [levels_of(spec, trial)["latitude_deg"] for trial in range(10**9 - 1000, 10**9)]
+    assert sorted(((np.array(last) + 50.0) * 10.0).astype(int)) == list(range(1000))
+
+
+def test_a_grid_takes_every_combination_as_often(tmp_path: Path) -> None:
+    spec = read_campaign(spec_at(tmp_path, GRID))
+    assert spec.trials == 8
+    points = [(levels_of(spec, k)["storage_months"], levels_of(spec, k)["attitudes"]) for k in range(8)]
+    assert points[:4] == [(6.0, 1.0), (6.0, 2.0), (36.0, 1.0), (36.0, 2.0)]
+    assert points[4:] == points[:4]
+
+
+def test_seeds_of_trials_are_their_own() -> None:
+    states = {tuple(trial_seed(5, trial).generate_state(4)) for trial in range(1000)}
+    assert len(states) == 1000
+    assert tuple(trial_seed(6, 0).generate_state(4)) not in states
+
+
+# ------------------------------------------------------------------ kills
+
+
+def _workers(parent: int) -> list[int]:
+    """Return the worker processes of a campaign that runs."""
+    found = []
+    for child in psutil.Process(parent).children(recursive=True):
+        try:
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.append(child.pid)
+        except psutil.Error:
+            continue
+    return found
+
+
+def _until(folder: Path, count: int, process: subprocess.Popen[bytes]) -> None:
+    while len(list(folder.glob("0*.parquet"))) < count:
+        assert process.poll() is None, "it ended before it could be killed"
+        time.sleep(0.02)
+
+
+def _in_one_go(text: str, trials: int) -> pa.Table:
+    """Work out all trials in one process, one after the other, its linear algebra on one thread as in a worker's."""
+    code = f"""
+import sys
+from service.campaign.engine import run_chunk
+sys.stdout.buffer.write(run_chunk({text!r}, 0, {trials}))
+"""
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True, env={**os.environ, **one_thread}
+    )
+    return pa.ipc.open_stream(done.stdout).read_all()
+
+
+def test_neither_a_killed_worker_nor_a_killed_run_changes_a_bit(tmp_path: Path) -> None:
+    spec, out = spec_at(tmp_path, GRID), tmp_path / "out.parquet"
+    parts = out.with_name("out.parquet.parts")
+    command = [sys.executable, "-m", "service.cli", "campaign", str(spec), "--out", str(out), "--workers"]
+    running = subprocess.Popen([*command, "2"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        _until(parts, 1, running)
+        workers = _workers(running.pid)
+        assert len(workers) == 2
+        os.kill(workers[0], signal.SIGKILL)
+        _until(parts, 4, running)
+        orphans = _workers(running.pid)
+    finally:
+        running.kill()
+        running.wait()
+    kept = {path.name: path.stat().st_mtime_ns for path in parts.glob("0*.parquet")}
+    assert 4 <= len(kept) < 8
+    assert psutil.wait_procs([psutil.Process(pid) for pid in orphans if psutil.pid_exists(pid)], timeout=30)[1] == []
+    (parts / ".000000007.parquet.part").write_bytes(b"PAR1 cut")  # what a kill leaves of a chunk being written
+
+    ended = subprocess.run([*command, "1", "--json", str(tmp_path / "facts.json")], capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["run"]["now"] == 8 - len(kept)
+    assert not parts.exists()
+    assert "By `storage_months`" in out.with_name("out.parquet.md").read_text()
+
+    study = read_campaign(spec)
+    expected = _in_one_go(study.text(), 8)
+    found = pq.read_table(out).replace_schema_metadata(None)
+    assert untimed(found).equals(untimed(expected))
+    assert found.column("trial").to_pylist() == list(range(8))
+    # Once more is nothing more; another campaign does not overwrite it.
+    assert run_campaign(study, out).now == 0
+    with pytest.raises(RefusedInput, match="not the result of this campaign"):
+        run_campaign(read_campaign(spec, trials=9), out)
+
+
+# ------------------------------------------------------------------ a fleet again
+
+
+def test_a_fleet_is_analysed_again_and_a_damaged_recording_is_a_row(tmp_path: Path) -> None:
+    model = demo_model(1)
+    (tmp_path / "block.json").write_text(model.canonical_json())
+    shift = effect("bias_shift", "gyro_z", shift=(40.0, "deg/h"))
+    scenario = demo_scenario(1).warmed_up().with_motion([], 60.0).model_copy(update={"effect": [shift]})
+    simulate_recording(scenario, tmp_path / "fleet" / "good", model=model)
+    (tmp_path / "fleet" / "zcut.parquet").write_bytes((tmp_path / "fleet" / "good.parquet").read_bytes()[:3000])
+    (tmp_path / "fleet" / "zcut.toml").write_bytes((tmp_path / "fleet" / "good.toml").read_bytes())
+    text = '[campaign]\nstudy = "reanalysis"\n[[block]]\nname = "a"\nmodel = "block.json"\nrecordings = ["fleet/*"]\n'
+    spec = read_campaign(spec_at(tmp_path, text))
+    good, cut = pa.ipc.open_stream(run_chunk(spec.text(), 0, 2)).read_all().to_pylist()
+    assert good["verdict"] in ("named", "tie")
+    assert "bias_shift:gyro_z" in good["effects"]
+    assert good["heldout_rms_after"] < good["heldout_rms_before"]
+    assert (cut["verdict"], cut["effects"]) == ("refused", None)
+    assert "zcut.parquet" in cut["reason"]
