@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from inertial.documents import Calibration, ChannelNoise, Combination, Noise
 from inertial.error_model import ACCELS, GYROS, Coefficients
@@ -111,7 +111,7 @@ class CalibrationResult:
     @property
     def chi_square_probability(self) -> float:
         """Return how often so large a χ² comes by chance if the model holds; below 0.001 it does not."""
-        return float(chi2.sf(self.chi_square, self.degrees_of_freedom)) if self.degrees_of_freedom > 0 else 1.0
+        return float(chdtrc(self.degrees_of_freedom, self.chi_square)) if self.degrees_of_freedom > 0 else 1.0
 
     def to_document(
         self,

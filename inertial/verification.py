@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from inertial.attitude import rotation_vector
 from inertial.compensation import body_to_tangent_pair, reading_sensitivity
@@ -101,4 +101,4 @@ def consistency(errors: Array, covariance: Array) -> tuple[float, float]:
     scale = np.sqrt(np.diag(covariance))
     scaled = errors / scale
     statistic = float(scaled @ np.linalg.solve(covariance / np.outer(scale, scale), scaled))
-    return statistic, float(chi2.ppf(CONFIDENCE, len(errors)))
+    return statistic, float(chdtri(len(errors), 1.0 - CONFIDENCE))
