@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from http_bench import serving, settings_for
 
 from inertial.ageing_fleet import TERMS
 from inertial.documents import Calibration, Noise, Result, Sigma, StageTerms
+from service import cli
 from service.ageing import DPH_RADPS, MG_MPS2
 from service.ageing_history import SIGMA_COLUMNS, VALUE_COLUMNS, history_of_store, history_of_table
 from service.errors import RefusedInput
@@ -51,12 +53,35 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    call = [sys.executable, "-m", "service.cli", "ageing", *map(str, arguments)]
-    return subprocess.run(call, capture_output=True, text=True, check=False)
+@dataclass(frozen=True)
+class Outcome:
+    """What one call of the command line did."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_a_table_tells_which_block_must_go_back_and_what_shook_it(table: Path, tmp_path: Path) -> None:
+Command = Callable[..., Outcome]
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """The command line, in this process."""
+
+    def call(*arguments: str | Path) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["inertrim", "ageing", *map(str, arguments)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        written = capsys.readouterr()
+        return Outcome(int(left.value.code or 0), written.out, written.err)
+
+    return call
+
+
+def test_a_table_tells_which_block_must_go_back_and_what_shook_it(
+    command: Command, table: Path, tmp_path: Path
+) -> None:
     done = command("--history", table, "--json", tmp_path / "facts.json", "--block", "SN0")
     assert done.returncode == 0, done.stderr
     facts = json.loads((tmp_path / "facts.json").read_text())
@@ -73,7 +98,7 @@ def test_a_table_tells_which_block_must_go_back_and_what_shook_it(table: Path, t
     assert len(facts["blocks"]["SN1"]["terms"]["f_x"]["history"]["months"]) == 23
 
 
-def test_outside_its_limit_is_a_negative_verdict(table: Path, tmp_path: Path) -> None:
+def test_outside_its_limit_is_a_negative_verdict(command: Command, table: Path, tmp_path: Path) -> None:
     config = tmp_path / "inertrim.toml"
     config.write_text("[conditions]\naccel_term_mg = 0.5\n")
     done = command("--history", table, "--config", config, "--json", "-")
@@ -106,7 +131,7 @@ def test_parquet_says_what_csv_says(table: Path, tmp_path: Path) -> None:
     assert isinstance(pq.read_table(tmp_path / "history.parquet"), pa.Table)
 
 
-def test_no_store_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_no_store_is_refused_with_what_to_do(command: Command, tmp_path: Path) -> None:
     config = tmp_path / "inertrim.toml"
     config.write_text('[store]\npath = "none.db"\n')
     done = command("--config", config)
