@@ -45,7 +45,7 @@ class RecordingChoice(Body):
         return self
 
 
-class DiscrepancyRequest(Body):
+class DiscrepancyStart(Body):
     """Start the workflow. ``model``: SHA-256 of the model to start from, instead of the one in use."""
 
     recordings: Annotated[list[RecordingChoice], Field(min_length=1, max_length=20)]
@@ -108,7 +108,7 @@ class Adopted(BaseModel):
 
 @router.post("/discrepancies", status_code=202, responses=responses(400, 404, 409, 413, 422, 503))
 def start_discrepancy(
-    body: DiscrepancyRequest,
+    body: DiscrepancyStart,
     request: Request,
     response: Response,
     controller: ControllerHere,

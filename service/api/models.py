@@ -16,7 +16,7 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class RunRequest(Body):
+class RunStart(Body):
     """Start a run. ``azimuth_deg``: the launcher's azimuth now, instead of the configured one. ``alignment``: how the
     attitude that is not given is found, instead of the configured way; "inertial" while the launcher sways.
     """

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 
 from inertial.documents import Result, parse_document
 from service.api.common import REFUSALS, ControllerHere, MayCommand, RunId, as_problem, who_asks
-from service.api.models import Accepted, Change, NavigationError, Note, Run, RunDetail, RunList, RunRequest
+from service.api.models import Accepted, Change, NavigationError, Note, Run, RunDetail, RunList, RunStart
 from service.api.problems import ProblemError, responses
 from service.controller import Controller
 from service.navigation_error import navigation_error
@@ -23,7 +23,7 @@ BASE = "/api/v1/runs"
 
 @router.post("", status_code=202, responses=responses(400, 409, 413, 422, 423, 503), dependencies=[MayCommand])
 def start_run(
-    body: RunRequest,
+    body: RunStart,
     request: Request,
     response: Response,
     controller: ControllerHere,

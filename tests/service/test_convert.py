@@ -191,14 +191,14 @@ def playing(file: Path, protocol: str, path: Path, speed: float) -> Iterator[lis
 
 @pytest.mark.parametrize("kind", ["capture", "bare bytes"])
 def test_a_file_is_played_as_it_came_and_nothing_is_lost(tmp_path: Path, kind: str) -> None:
-    """Three seconds at speed 6; a link at that speed reads every sample, at the rate that it once had."""
+    """Three seconds at speed 2; a link at that speed reads every sample, at the rate that it once had."""
     samples = samples_at(500.0, 1500)
     file = capture_of(tmp_path / "line.cap", samples)
     if kind == "bare bytes":
         file.write_bytes(NATIVE.encode_samples(samples))
     found = []
-    with playing(file, "native", tmp_path / "tty", 6.0) as done:
-        link = SerialLink(str(tmp_path / "tty"), NATIVE, timebase=Timebase(6.0))
+    with playing(file, "native", tmp_path / "tty", 2.0) as done:
+        link = SerialLink(str(tmp_path / "tty"), NATIVE, timebase=Timebase(2.0))
         with link:
             end = time.monotonic() + 20
             while sum(len(rows) for rows, _ in found) < 1500 and time.monotonic() < end:
