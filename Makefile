@@ -43,6 +43,7 @@ $(PEERS): $(READY) requirements-bench.lock
 
 long: $(PEERS)
 	$(BIN)/python -m pytest -m long $(ARGS)
+	$(BIN)/python -m benchmarks.soak --page docs/reliability.md
 
 # Pins every dependency, with hashes and without addresses, for all supported interpreters (needs `uv`).
 lock:

@@ -20,10 +20,14 @@ from typing import Any
 README = Path(__file__).resolve().parent.parent / "README.md"
 
 
+FIELD_LIFE = "soak"
+"""Takes an hour and measures no speed: `make long` runs it."""
+
+
 def names() -> list[str]:
     """Return the benchmarks in alphabetical order; those that begin with ``_`` are helpers."""
     modules = pkgutil.iter_modules([str(Path(__file__).parent)])
-    return sorted(module.name for module in modules if not module.name.startswith("_"))
+    return sorted(module.name for module in modules if not module.name.startswith("_") and module.name != FIELD_LIFE)
 
 
 def measure(name: str, folder: Path) -> dict[str, Any]:

@@ -37,8 +37,12 @@ TWO_AT_ONCE = 0.2
 START_REAL_S = 600.0
 """Real seconds that a start may take: minutes, where nothing was compiled before and the machine is loaded."""
 ANSWER_REAL_S = 20.0
-SLACK_REAL_S, ESTIMATE_REAL_S = 10.0, 60.0
+SLACK_REAL_S, ESTIMATE_REAL_S = 20.0, 60.0
 """Real seconds that a busy host may add to any limit, and that it may take for the final estimate."""
+WATCHED_S = 120.0
+"""Simulated seconds for which what a fault leads to is watched at least."""
+TURNED_S = 30.0
+"""Simulated seconds after which a block that was turned must not be called fit."""
 RECOVERY_S = 5_400.0
 """Simulated seconds from a fault to READY after which the service counts as stuck: settling, holding and a run."""
 SPAN_S, FIRST_S = 900.0, 3_600.0
@@ -54,6 +58,7 @@ class Trouble:
     state: str
     run_id: str | None
     reaction: str = "none"
+    ready_s: float | None = None
     recovered_s: float | None = None
     same_run: bool = False
 
@@ -77,6 +82,7 @@ class Soak:
         self.records, self.troubles, self.stuck = Records(), list[Trouble](), list[str]()
         self.lives: list[Life] = []
         self.unwritable: set[str] = set()
+        self.false_fit: list[str] = []
         self._later: list[tuple[float, Fault, Callable[[], object]]] = []
         self._next_fault_s = 0.0
         self._next_run_s = 0.0
@@ -174,9 +180,17 @@ class Soak:
             return
         if status["state"] in ("HOLD", "FAULT", "ABORTED") and trouble.reaction == "none":
             trouble.reaction = f"{status['state']} {status['reason']}"
-        over = not self._later and not self.plant.displaced
-        if over and status["state"] == "READY" and status["fit"]:
-            trouble.recovered_s = now_s - trouble.at_s
+        since_s = now_s - trouble.at_s
+        fit = status["state"] == "READY" and status["fit"]
+        if not fit:
+            trouble.ready_s = None
+        elif trouble.ready_s is None:
+            trouble.ready_s = since_s
+        if fit and self.plant.displaced and "turn" in trouble.faults and since_s > TURNED_S:
+            self.false_fit.append(f"at {now_s:.0f} s: fit, {since_s:.0f} s after {' + '.join(trouble.faults)}")
+        over = not self._later and not self.plant.displaced and since_s > WATCHED_S
+        if over and trouble.ready_s is not None:
+            trouble.recovered_s = trouble.ready_s
             trouble.same_run = trouble.run_id == status["run_id"]
             if trouble.reaction == "none" and not trouble.same_run:
                 trouble.reaction = "run begun anew"
@@ -187,7 +201,7 @@ class Soak:
             )
             self._trouble = None
             self._next_fault_s = now_s + self.random.expovariate(1.0 / GAP_S)
-        elif now_s - trouble.at_s > RECOVERY_S:
+        elif since_s > RECOVERY_S:
             self._give_up(f"not READY {RECOVERY_S:.0f} s after it: {status['state']} {status['reason']}")
 
     def _give_up(self, what: str) -> None:
@@ -310,6 +324,7 @@ class Soak:
             "troubles": [vars(trouble) for trouble in self.troubles],
             "not_possible": [fault.name for fault in FAULTS if fault not in self.possible],
             "stuck": self.stuck,
+            "false_fit": self.false_fit,
             "lost": self.records.lost,
             "kept": kept,
             "bad_ends": self.plant.bad_ends,
@@ -366,7 +381,7 @@ def main() -> None:
     if arguments.page:
         write_page(arguments.page, found, arguments.seed)
     print(json.dumps({key: value for key, value in found.items() if key != "troubles"}, indent=2))
-    raise SystemExit(1 if found["stuck"] or found["lost"] or found["bad_ends"] else 0)
+    raise SystemExit(any(found[what] for what in ("stuck", "lost", "bad_ends", "false_fit")))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ def _summary(found: dict[str, Any], seed: int) -> list[str]:
         f"{found['lives']} lives of the service, {len(found['troubles'])} times trouble.",
         "",
         f"- stuck: {len(found['stuck'])}" + "".join(f"\n  - {text}" for text in found["stuck"]),
+        f"- called fit while turned by 10° and more: {len(found['false_fit'])} times",
         f"- ends by SIGTERM that were not clean: {len(found['bad_ends'])}",
         f"- records lost: {len(found['lost'])} of {kept['runs']} runs, {kept['changes']} changes of state, "
         f"{kept['results']} results, {kept['commands']} commands, {kept['recordings']} recordings"
