@@ -3,10 +3,10 @@
 Readings of memory in use are anything but independent: a level, once reached, stays for many readings. A straight line
 through them with the textbook σ would find "growth" in every wander. The readings are therefore averaged over spans
 and the line is fitted by generalised least squares with first-order autoregressive errors (Prais and Winsten 1954),
-the correlation estimated from the residuals with Kendall's (1954) correction for short series. Spans of one life of the
-process share a level; every life has a level of its own, all lives share the slope. Where neighbours correlate by 0.8 and
-there are fewer than a hundred spans, growth is still found a little too often (a tenth of the time at 5 %): it errs on
-the side of alarm.
+the correlation estimated from the residuals with Kendall's (1954) correction for short series. Spans of one life of
+the process share a level; every life has a level of its own, all lives share the slope. Where neighbours correlate by
+0.8 and there are fewer than a hundred spans, growth is still found a little too often (a tenth of the time at 5 %): it
+errs on the side of alarm.
 """
 
 from __future__ import annotations
