@@ -234,7 +234,7 @@ def _add(tar: tarfile.TarFile, member: Member) -> dict[str, Any]:
         info = tarfile.TarInfo(member.name)
         info.size, info.mtime = found.st_size, int(found.st_mtime)
         hashing = _Hashing(file, info.size)
-        tar.addfile(info, hashing)  # type: ignore[arg-type]  # it asks for read() alone
+        tar.addfile(info, hashing)
         return {"bytes": info.size, "sha256": hashing.sha256.hexdigest()}
 
 

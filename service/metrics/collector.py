@@ -74,8 +74,8 @@ class ServiceCollector(Collector):
         """Yield what tells whether the service itself keeps up."""
         controller = self._controller
         waiting = GaugeMetricFamily("inertrim_queue_items", "What waits to be done.", labels=["queue"])
-        for name, count in controller.waiting().items():
-            waiting.add_metric([name], count)
+        for queue, count in controller.waiting().items():
+            waiting.add_metric([queue], count)
         yield waiting
         yield GaugeMetricFamily("inertrim_event_clients", "Clients on /events.", value=len(controller.hub))
         yield GaugeMetricFamily(
@@ -98,8 +98,8 @@ class ServiceCollector(Collector):
 
 def _state(facts: dict[str, Any]) -> Iterator[Metric]:
     state = GaugeMetricFamily("inertrim_state", "1 for the state the sequencer is in.", labels=["state"])
-    for name in Name:
-        state.add_metric([name.value], float(facts["state"] == name.value))
+    for one in Name:
+        state.add_metric([one.value], float(facts["state"] == one.value))
     yield state
     yield GaugeMetricFamily("inertrim_fit", "1 when the navigation data are fit.", value=float(facts["fit"]))
     for name, key, text in (

@@ -76,7 +76,7 @@ def _chain() -> None:
     rows = connection.execute(sa.text("SELECT * FROM audit ORDER BY id")).mappings().all()
     for row in rows:
         number, previous = heads.get(row["launcher"], (0, GENESIS))
-        heads[row["launcher"]] = number + 1, (digest := link(previous, number + 1, row))
+        heads[row["launcher"]] = number + 1, (digest := link(previous, number + 1, dict(row)))
         values = {"number": number + 1, "sha256": digest, "id": row["id"]}
         connection.execute(sa.text("UPDATE audit SET number = :number, sha256 = :sha256 WHERE id = :id"), values)
     for launcher, (entries, digest) in heads.items():
