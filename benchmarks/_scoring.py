@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
+from scipy.stats import beta, binom
 
 Name = tuple[str, str]
 NOISE_NAMES = frozenset({"random_walk", "bias_instability", "rate_random_walk", "quantisation"})
@@ -82,32 +82,48 @@ def share(flags: Iterable[bool]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """All fractions of a set of scored cases."""
+def flags(rows: Sequence[dict[str, Any]]) -> dict[str, list[bool]]:
+    """What each fraction is counted over."""
     inside = [r for r in rows if r["category"] == "inside"]
     nulls = [r for r in rows if r["category"] == "null"]
     outside = [r for r in rows if r["category"] == "outside"]
     strong = [e for r in inside for e in r["effects"] if e["d"] >= 10]
     several = [r for r in inside if len(r["effects"]) > 1]
-    recalled = [e["outcome"] != "missed" for r in several for e in r["effects"]]
-    precise = [i >= len(r["false"]) for r in several for i in range(len(r["findings"]))]
     return {
-        "named_or_tied": share(e["outcome"] != "missed" for e in strong),
-        "named": share(e["outcome"] == "named" for e in strong),
-        "wrong_name": share(bool(r["false"]) for r in inside if max(e["d"] for e in r["effects"]) >= 10),
-        "named_or_tied_d7": share(e["outcome"] != "missed" for r in inside for e in r["effects"] if 6 <= e["d"] < 9),
-        "several_recall": share(recalled),
-        "several_precision": share(precise),
-        "false_alarm": share(bool(r["false"]) for r in nulls),
-        "false_deterministic": share(bool(r["false_deterministic"]) for r in nulls),
-        "null_called_unknown": share(r["verdict"] in ("unknown", "error") for r in nulls),
-        "unknown_flagged": share(r["verdict"] == "unknown" for r in outside if r["d"] >= 30),
-        "unknown_flagged_d60": share(r["verdict"] == "unknown" for r in outside if r["d"] >= 60),
-        "outside_false_deterministic": share(bool(r["false_deterministic"]) for r in outside if r["d"] >= 30),
-        "heldout_gap_closed": share(max(r["heldout_after"]) <= HELD_OUT_LIMIT for r in rows if r["heldout_after"]),
+        "named_or_tied": [e["outcome"] != "missed" for e in strong],
+        "named": [e["outcome"] == "named" for e in strong],
+        "wrong_name": [bool(r["false"]) for r in inside if max(e["d"] for e in r["effects"]) >= 10],
+        "named_or_tied_d7": [e["outcome"] != "missed" for r in inside for e in r["effects"] if 6 <= e["d"] < 9],
+        "several_recall": [e["outcome"] != "missed" for r in several for e in r["effects"]],
+        "several_precision": [i >= len(r["false"]) for r in several for i in range(len(r["findings"]))],
+        "false_alarm": [bool(r["false"]) for r in nulls],
+        "false_deterministic": [bool(r["false_deterministic"]) for r in nulls],
+        "null_called_unknown": [r["verdict"] in ("unknown", "error") for r in nulls],
+        "unknown_flagged": [r["verdict"] == "unknown" for r in outside if r["d"] >= 30],
+        "unknown_flagged_d60": [r["verdict"] == "unknown" for r in outside if r["d"] >= 60],
+        "outside_false_deterministic": [bool(r["false_deterministic"]) for r in outside if r["d"] >= 30],
+        "heldout_gap_closed": [max(r["heldout_after"]) <= HELD_OUT_LIMIT for r in rows if r["heldout_after"]],
+    }
+
+
+def figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """All fractions of a set of scored cases."""
+    return {
+        **{name: share(values) for name, values in flags(rows).items()},
         "mean_tie_size": float(np.mean([s for r in rows for s in r["tie_sizes"]] or [0.0])),
         "errors": sum(r["error"] is not None for r in rows),
     }
+
+
+def bands(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """For each fraction how many of how many, and the 95 % interval of what it estimates (Clopper and Pearson 1934)."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, values in flags(rows).items():
+        k, n = sum(values), len(values)
+        low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+        high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+        found[name] = {"counted": k, "of": n, "interval_95": [low, high]}
+    return found
 
 
 def coverage(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -129,16 +145,21 @@ def by_effect(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, i
     return {effect: {size: dict(counts) for size, counts in sorted(table[effect].items())} for effect in sorted(table)}
 
 
-def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """What each hidden effect (of single ones, or *nothing*, or a strange one) was called first."""
-    table: dict[str, Counter[str]] = defaultdict(Counter)
+def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, int]]]:
+    """What each hidden effect (of single ones, or *nothing*, or a strange one) was called, by size."""
+    table: dict[str, dict[str, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
     for row in rows:
         if len(row["effects"]) > 1:
             continue
         truth = row["effects"][0]["effect"] if row["effects"] else row.get("strange", "nothing")
-        for name in {f[0] for f in row["findings"]} or {row["verdict"]}:
-            table[truth][name] += 1
-    return {truth: dict(table[truth].most_common()) for truth in sorted(table)}
+        d = row["effects"][0]["d"] if row["effects"] else row.get("d", 0.0)
+        low, high = next(b for b in BINS if b[0] <= d < b[1])
+        for name in {f[0] for f in row["findings"]} | ({row["verdict"]} & {"none", "unknown", "error"}):
+            table[truth][f"{low:g}-{high:g}"][name] += 1
+    return {
+        truth: {size: dict(names.most_common()) for size, names in sorted(table[truth].items())}
+        for truth in sorted(table)
+    }
 
 
 PEER_NAMES = frozenset(

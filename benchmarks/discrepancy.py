@@ -117,6 +117,7 @@ def summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]], peers: bool) -> 
             **{c: sum(r["category"] == c for r in rows) for c in ("inside", "null", "outside")},
             "families": {family: sum(r["family"] == family for r in rows) for family in families},
         },
+        "bands": _scoring.bands(rows),
         "coverage_95": _scoring.coverage(rows),
         "seconds_per_case": {"median": seconds[len(seconds) // 2], "largest": seconds[-1]},
         "by_family": by_family,
@@ -126,7 +127,7 @@ def summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]], peers: bool) -> 
         "by_effect": _scoring.by_effect(rows),
         "confusion": _scoring.confusion(rows),
         "rows": rows,
-        "table": _table(found, by_family.get("plain", {})),
+        "table": _table(found, by_family.get("plain", {}), _scoring.bands(rows)),
     }
     if peers:
         result["peers"] = _peer_summary(pairs)
@@ -150,25 +151,31 @@ def _best(finding: dict[str, Any], truth: dict[str, Any]) -> list[_scoring.Name]
     return [next((name for name in names if name in hidden), names[0])]
 
 
-def _table(found: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+def _table(found: dict[str, Any], plain: dict[str, Any], bands: dict[str, Any]) -> dict[str, Any]:
     def cell(value: float | None) -> str:
         return "–" if value is None else f"{value:.3f}"
 
-    rows = [[text, cell(found[key]), cell(plain.get(key)), bar] for key, (text, bar) in BARS.items()]
-    return {"header": ["", "all cases", "without the hard families", "wanted"], "rows": rows}
+    def counted(key: str) -> str:
+        if key not in bands or not bands[key]["of"]:
+            return ""
+        low, high = bands[key]["interval_95"]
+        return f"{bands[key]['counted']} of {bands[key]['of']}, {low:.3f} to {high:.3f}"
+
+    rows = [[text, cell(found[key]), counted(key), cell(plain.get(key)), bar] for key, (text, bar) in BARS.items()]
+    return {"header": ["", "all cases", "counted, 95 % interval", "without the hard families", "wanted"], "rows": rows}
 
 
 def report_text(result: dict[str, Any]) -> str:
     """What is printed: the table, the families, the effects by size, the peers."""
-    lines = [f"{row[0]:50s}{row[1]:>8s}{row[2]:>8s}  {row[3]}" for row in result["table"]["rows"]]
+    lines = [f"{row[0]:46s}{row[1]:>7s}  {row[2]:30s}{row[3]:>7s}  {row[4]}" for row in result["table"]["rows"]]
     lines += ["", "outcomes by effect and d (named, tied, missed)"]
     for effect, sizes in result["by_effect"].items():
         cells = [f"{s}: {c.get('named', 0)},{c.get('tied', 0)},{c.get('missed', 0)}" for s, c in sizes.items()]
         lines.append(f"  {effect:26s}" + "   ".join(cells))
-    lines += ["", "what was hidden, and what it was called first"]
-    lines += [
-        f"  {truth:26s}" + ", ".join(f"{n} {c}" for n, c in row.items()) for truth, row in result["confusion"].items()
-    ]
+    lines += ["", "what was hidden, its d, and what it was called"]
+    for truth, sizes in result["confusion"].items():
+        for size, names in sizes.items():
+            lines.append(f"  {truth:26s}{size:8s}" + ", ".join(f"{n} {c}" for n, c in names.items()))
     lines += [
         "",
         f"parameters inside their 95 % interval: {result['coverage_95']}",

@@ -1,7 +1,8 @@
 """Prediction of data that a fit did not see: short blocks of the record, held out in turns.
 
 For each quarter that is held out, amplitudes and noise are fitted on the other three together, and that noise whitens
-what is held out, before and after.
+what is held out, before and after. What the reference was off by in a block held out (a turn that came late) no other
+block can tell: it is fitted there, within its own σ, before and after alike.
 """
 
 from __future__ import annotations
@@ -55,23 +56,36 @@ class HeldOut:
         self._steady = np.diag([1.0 / self._prior[i] ** 2 if i in self._prior else 0.0 for i in fit.ids])
         self._blocks = {slot: _Blocks.of(evidence, fit, slot) for slot in evidence.slots}
         self._weights: list[dict[Slot, Array]] = []
-        self._normal: list[tuple[Array, Array]] = []
+        self._seen: list[tuple[Array, Array]] = []
+        self._unseen: list[tuple[Array, Array]] = []
+        self._circumstance = np.array([i in self._prior for i in fit.ids], dtype=np.bool_)
         for fold in range(FOLDS):
             weights = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
             for _ in range(_ROUNDS):
-                amplitude = _solve(*self._training(weights, fold))
+                amplitude = _solve(*self._products(weights, _others(fold)))
                 weights = {slot: 1.0 / one.noise(amplitude, fold) for slot, one in self._blocks.items()}
             self._weights.append(weights)
-            self._normal.append(self._training(weights, fold))
+            self._seen.append(self._products(weights, _others(fold)))
+            self._unseen.append(self._products(weights, [fold]))
 
-    def _training(self, weights: dict[Slot, Array], fold: int) -> tuple[Array, Array]:
+    def _products(self, weights: dict[Slot, Array], folds: Sequence[int]) -> tuple[Array, Array]:
         matrix, right = self._steady.copy(), np.zeros(len(self._ids))
-        others = [f for f in range(FOLDS) if f != fold]
         for slot, one in self._blocks.items():
             place = one.place
-            matrix[np.ix_(place, place)] += np.tensordot(weights[slot], one.gram[others].sum(axis=0), 1)
-            right[place] += weights[slot] @ one.cross[others].sum(axis=0)
+            matrix[np.ix_(place, place)] += np.tensordot(weights[slot], one.gram[folds].sum(axis=0), 1)
+            right[place] += weights[slot] @ one.cross[folds].sum(axis=0)
         return matrix, right
+
+    def _predicted(self, fold: int, keep: Sequence[int]) -> Array:
+        """Return amplitudes as the other folds give them, the reference's errors as this one has them."""
+        amplitude = np.zeros(len(self._ids))
+        matrix, right = self._seen[fold]
+        amplitude[keep] = _solve(matrix[np.ix_(keep, keep)], right[keep])
+        own, effects = self._circumstance, ~self._circumstance
+        matrix, right = self._unseen[fold]
+        known = matrix[np.ix_(own, effects)] @ amplitude[effects]
+        amplitude[own] = _solve(matrix[np.ix_(own, own)], right[own] - known)
+        return amplitude
 
     def gap(self, without: Sequence[int] = ()) -> Gap:
         """Return the gap before and after; before, the columns ``without`` are not there; none: all but priors."""
@@ -79,15 +93,18 @@ class HeldOut:
         keep = [p for p, i in enumerate(self._ids) if i not in tried]
         before, after = dict.fromkeys(self._blocks, 0.0), dict.fromkeys(self._blocks, 0.0)
         count = dict.fromkeys(self._blocks, 0)
-        for fold, (matrix, right) in enumerate(self._normal):
-            full, some = _solve(matrix, right), np.zeros(len(right))
-            some[keep] = _solve(matrix[np.ix_(keep, keep)], right[keep])
+        for fold in range(FOLDS):
+            full, some = self._predicted(fold, range(len(self._ids))), self._predicted(fold, keep)
             for slot, one in self._blocks.items():
                 weight = self._weights[fold][slot]
                 before[slot] += float(weight @ one.left(some, [fold]))
                 after[slot] += float(weight @ one.left(full, [fold]))
                 count[slot] += int(one.counts[fold]) * one.basis.n
         return Gap(before, after, count)
+
+
+def _others(fold: int) -> list[int]:
+    return [other for other in range(FOLDS) if other != fold]
 
 
 def _solve(matrix: Array, right: Array) -> Array:
@@ -156,7 +173,7 @@ class _Blocks:
 
     def noise(self, amplitude: Array, fold: int) -> Array:
         """Return the noise power (bins,) that the blocks not held out have."""
-        others = [f for f in range(FOLDS) if f != fold]
+        others = _others(fold)
         rss, count = self.left(amplitude, others), int(self.counts[others].sum())
         power = fit_noise(self.basis, rss, self.basis.counts * count, None, self.floor).power.copy()
         # A block's mean wanders with all the record, which no noise of the block's own length tells.

@@ -18,10 +18,10 @@ from simulators.discrepancy.compare import Scene
 
 Array = NDArray[np.float64]
 
-_CHANCE = 1e-4  # of a run of equal readings arising by itself somewhere in a channel
+_CHANCE = 1e-3  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
 _SHORTEST_RUN = 6
-_ASIDE = 100  # samples on either side of a run that say what the register should have read
-_ASTRAY = 6.0  # by how many times its uncertainty a run's sum is off what its neighbours say
+_ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
+_ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _BLOCK = 32
 
 
@@ -113,14 +113,19 @@ def _longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
 def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
-    That is noise, one step of rounding, and what the neighbours differ by among themselves.
+    That is noise, rounding of the run and of its neighbours, and what these differ by among themselves.
     """
-    sides = (off[max(0, a - _ASIDE) : max(0, a - 1)], off[b + 2 : b + 2 + _ASIDE])
+    count = b - a
+    aside = max(_ASIDE, 3 * count)
+    sides = (off[max(0, a - aside) : max(0, a - 1)], off[b + 2 : b + 2 + aside])
     halves = [half for side in sides if side.size >= _ASIDE // 2 for half in np.array_split(side, 2)]
     if not halves:
         return 0.0
     means = np.array([float(half.mean()) for half in halves])
-    count = b - a
-    sigma = noise * math.sqrt(count * (1.0 + 2.0 * count / _ASIDE))
-    astray = abs(float(np.sum(off[a + 1 : b + 1])) - count * float(means.mean())) - step
-    return astray / max(math.hypot(sigma, count * float(np.ptp(means))), 1e-300)
+    fewest = min(half.size for half in halves)
+    # What noise makes them differ by is counted once, with that of the run itself.
+    apart = math.sqrt(max(float(np.ptp(means)) ** 2 - 16.0 * noise**2 / fewest, 0.0))
+    sigma = noise * math.sqrt(count * (1.0 + count / (len(halves) * fewest)))
+    rounded = step * count / fewest
+    astray = abs(float(np.sum(off[a + 1 : b + 1])) - count * float(means.mean())) - 2.0 * step
+    return astray / max(math.hypot(sigma, count * apart, rounded), 1e-300)

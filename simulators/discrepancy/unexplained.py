@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
-from scipy.stats import chi2
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
@@ -29,7 +28,7 @@ _SHARE_SEEN = 0.8  # of a block that must have been measured
 _COEFFICIENTS = 8  # that make up one block's power
 _FIRST, _HIGHEST_HZ = 32, 5.0
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
-_HARMONIC = 0.01
+_HARMONIC, _BAND, _DOMINANT = 0.01, 1.3, 0.9
 
 
 @dataclass(frozen=True)
@@ -77,18 +76,22 @@ def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherN
             if small is not large and weak and small not in withdrawn and _mostly_on(gains[id(small)], channel):
                 withdrawn.append(small)
                 misfits.append({**_described(small, search), "of": large.hypothesis.effect})
-    lines = _harmonics(search, named)
-    if lines:
+    for channel in CHANNELS:
+        lines = [a for a in named if a.hypothesis.effect == "sinusoid" and a.hypothesis.channel == channel]
+        largest = max(lines, key=lambda a: a.gain, default=None)
+        if largest is not None and largest.gain > _DOMINANT * sum(a.gain for a in lines):
+            for small in lines:  # what swells and wanes has lines beside its own
+                if small is not largest:
+                    withdrawn.append(small)
+                    misfits.append({**_described(small, search), "of": "sinusoid"})
+            continue
+        text = _together(search, lines)
+        if text is None:
+            continue
         withdrawn += lines
-        terms.append(
-            {
-                "kind": "periodic",
-                "channel": lines[0].hypothesis.channel,
-                "term": "harmonics of one line",
-                "evidence_nats": sum(a.gain for a in lines),
-                "hertz": sorted(a.hypothesis.shape["frequency"] for a in lines),
-            }
-        )
+        hertz = sorted(a.hypothesis.shape["frequency"] for a in lines)
+        nats = sum(a.gain for a in lines)
+        terms.append({"kind": "periodic", "channel": channel, "term": text, "evidence_nats": nats, "hertz": hertz})
     for noise in other_noise:
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
@@ -120,21 +123,21 @@ def _described(adopted: Adopted, search: Search) -> dict[str, Any]:
     }
 
 
-def _harmonics(search: Search, named: Sequence[Adopted]) -> list[Adopted]:
-    """Return the lines of one channel that are overtones of its lowest, as far as the record can tell; or none."""
+def _together(search: Search, lines: Sequence[Adopted]) -> str | None:
+    """Return what several lines of one channel make up, as far as the record can tell; none: each is its own."""
+    if len(lines) < 2:
+        return None
     time_s = search.evidence.library.scenes[0].time_s
     resolution_hz = 0.4 / float(time_s[-1] - time_s[0])
-    for channel in CHANNELS:
-        lines = [a for a in named if a.hypothesis.effect == "sinusoid" and a.hypothesis.channel == channel]
-        if len(lines) < 2:
-            continue
-        frequencies = [a.hypothesis.shape["frequency"] for a in lines]
-        lowest = min(frequencies)
-        off = [abs(f - lowest * round(f / lowest)) for f in frequencies]
-        near = [o < resolution_hz * f / lowest + _HARMONIC * lowest for o, f in zip(off, frequencies, strict=True)]
-        if all(near) or len(lines) > 2:
-            return lines
-    return []
+    frequencies = [a.hypothesis.shape["frequency"] for a in lines]
+    lowest = min(frequencies)
+    if max(frequencies) < _BAND * lowest:
+        return "a narrow band, not one line"
+    off = [abs(f - lowest * round(f / lowest)) for f in frequencies]
+    near = [o < resolution_hz * f / lowest + _HARMONIC * lowest for o, f in zip(off, frequencies, strict=True)]
+    if all(near):
+        return "harmonics of one line"
+    return "many lines" if len(lines) > 2 else None
 
 
 def _unsteady(search: Search) -> list[dict[str, Any]]:
@@ -158,7 +161,7 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
     left = search.evidence.library.left(slot, search.fit.ids, search.fit.amplitude)
     white = left * np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
     white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
-    came = ~scene.data.missing[: basis.n * scene.group, slot[1]]
+    came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
     best, when, bands, highest = 0.0, 0.0, 0, _FIRST
     while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * _HIGHEST_HZ):
         count = highest // _COEFFICIENTS
@@ -168,9 +171,16 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
         seen = np.array([part.mean() for part in np.array_split(came, count)]) > _SHARE_SEEN
         power = power[seen] / max(float(power[seen].mean()), 1e-300) if seen.sum() >= 4 else power[:0]
         ratio = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
-        nats = -float(chi2.logsf(ratio, power.size)) if power.size else 0.0
+        nats = _beyond_chance(ratio, power.size)
         bands, highest = bands + 1, 2 * highest
         if nats > best:
             place = (int(np.flatnonzero(seen)[int(np.argmax(power))]) + 0.5) / count
             best, when = nats, float(scene.time_s[0] + place * (scene.time_s[-1] - scene.time_s[0]))
     return best - math.log(max(bands, 1) * len(CHANNELS)), when
+
+
+def _beyond_chance(ratio: float, freedom: int) -> float:
+    """Return a bound on -ln of the chance that χ² of some freedom is as large (Chernoff)."""
+    if freedom == 0 or ratio <= freedom:
+        return 0.0
+    return 0.5 * (ratio - freedom - freedom * math.log(ratio / freedom))

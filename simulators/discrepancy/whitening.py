@@ -98,7 +98,7 @@ class NoiseFit:
 
 PENALTY = (0.0, 3.0, 8.0)
 """What each level costs [nats] where the model states its noise; where its size is free, STATED does not exist."""
-PENALTY_FREE = (math.inf, 0.0, 7.0)
+PENALTY_FREE = (math.inf, 0.0, 9.0)
 
 
 def fit_noise(
