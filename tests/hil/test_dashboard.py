@@ -15,6 +15,10 @@ from browser_bench import chromium, free_port, shots
 from line_service import Bench, ServiceProcess
 from playwright.sync_api import Browser, Page, expect
 
+from service.security.roles import Role
+from service.security.tokens import make_token
+from service.store import Store
+
 SIZES = {"1280": (1280, 900), "390": (390, 844)}
 STALE_WITHIN_S = 1.0
 TRIES = 3
@@ -186,3 +190,33 @@ def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:
                 found = Axe().run(page, options=AXE_RULES).response["violations"]
                 assert not found, json.dumps([(one["id"], [n["html"] for n in one["nodes"]][:3]) for one in found])
     seen.context.close()
+
+
+def test_with_tokens_the_page_asks_for_one_and_commands_as_whom_it_stands_for(browser: Browser, bench: Bench) -> None:
+    store = Store(bench.folder / "inertrim.db")
+    text, record = make_token("Grace", Role.OPERATOR)
+    store.add_token(record)
+    store.close()
+    service = ServiceProcess(bench, port := free_port())
+    try:
+        seen = Seen(browser, f"http://127.0.0.1:{port}/")
+        page = seen.page
+        page.get_by_label("Token").fill("inertrim_0_wrong")
+        page.get_by_role("button", name="Sign in").click()
+        expect(page.locator("#toast")).to_contain_text("unknown")
+        page.get_by_label("Token").fill(text)
+        page.get_by_role("button", name="Sign in").click()
+        page.wait_for_selector("[data-command=start]:enabled")
+        expect(page.locator("#top")).to_contain_text("Grace (operator)")
+        assert page.evaluate("() => document.cookie") == ""  # scripts cannot read it
+        page.get_by_role("button", name="Take command").click()
+        page.locator("dialog button[type=submit]").click()
+        expect(page.locator("main")).to_contain_text("You command.")
+        page.reload()
+        expect(page.locator("main")).to_contain_text("Grace commands for")  # the lease's id was the old page's own
+        expect(page.locator("[data-command=start]")).to_be_disabled()
+        page.get_by_role("button", name="Sign out").click()
+        expect(page.get_by_label("Token")).to_be_visible()
+        expect(page.locator("#stale")).to_be_empty()
+    finally:
+        service.terminate()

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import ssl
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 from http_bench import serving, settings_for
 
 from service.controller import Controller
+from service.processes import free_port
 from service.security.rate import RateLimit
 from service.security.roles import Role
 from service.security.tokens import make_token
@@ -270,6 +278,63 @@ def test_an_address_that_others_reach_is_refused_without_tokens(tmp_path: Path) 
     refused = inertrim("serve", "--config", str(half), folder=tmp_path)
     assert refused.returncode == 2
     assert "belong together" in refused.stderr
+
+
+def test_with_a_token_and_a_certificate_it_listens_for_other_machines(tmp_path: Path) -> None:
+    token = inertrim("token", "create", "console", "--role", "viewer", folder=tmp_path).stdout.strip()
+    certificate, key = self_signed(tmp_path)
+    port = free_port()
+    (tmp_path / "inertrim.toml").write_text(
+        f'[http]\nhost = "0.0.0.0"\nport = {port}\ncertificate = "{certificate.name}"\nkey = "{key.name}"\n'
+    )
+    command = [sys.executable, "-m", "service.cli", "serve", "--config", "inertrim.toml"]
+    with (tmp_path / "log").open("wb") as log:
+        service = subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log)
+    try:
+        trusted = ssl.create_default_context(cafile=certificate)
+        with httpx.Client(base_url=f"https://localhost:{port}", verify=trusted) as client:
+            end = time.monotonic() + 60
+            while True:
+                try:
+                    alive = client.get("/healthz")
+                    break
+                except httpx.TransportError:
+                    assert service.poll() is None, (tmp_path / "log").read_text()
+                    assert time.monotonic() < end
+                    time.sleep(0.05)
+            assert alive.status_code == 200
+            assert "max-age" in alive.headers["strict-transport-security"]
+            assert client.get("/api/v1/status").status_code == 401
+            assert client.get("/api/v1/status", headers=bearer(token)).json()["state"] == "OFFLINE"
+            assert "secure" in client.post("/api/v1/session", json={"token": token}).headers["set-cookie"].lower()
+        with pytest.raises(httpx.TransportError):
+            httpx.get(f"http://localhost:{port}/healthz")
+    finally:
+        service.terminate()
+        service.wait(20)
+
+
+def self_signed(folder: Path) -> tuple[Path, Path]:
+    """Write a certificate for localhost and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "localhost")])
+    now = datetime.now(UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    certificate, secret = folder / "certificate.pem", folder / "key.pem"
+    certificate.write_bytes(made.public_bytes(Encoding.PEM))
+    secret.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return certificate, secret
 
 
 # ------------------------------------------------------------------ the audit chain
