@@ -13,6 +13,7 @@ import contextlib
 import json
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -151,6 +152,8 @@ class Device:
         # Compiles what is slow the first time, and refuses what cannot be simulated before anyone waits for it.
         protocol.encode_samples(make_block(scenario, model).generate(2))
         self._replies: list[_Reply] = []
+        self._heard = b""
+        self._asked: list[type] = []
         self._streaming = False
         self._announce_s = now_s
         self._cycle = -1
@@ -191,7 +194,7 @@ class Device:
 
     def _answered(self, samples: list[Outgoing], now_s: float) -> list[Outgoing]:
         """Put what was asked for by :attr:`Protocol.requests` in the place of samples, as devices do."""
-        known = {Identity: self._identity, Configuration: self._configuration}
+        known: dict[type, Callable[[], Message]] = {Identity: self._identity, Configuration: self._configuration}
         for place, kind in zip(range(len(samples)), list(self._asked), strict=False):
             samples[place] = self._message(_Reply(known[kind](), 0, now_s))
             self._asked.remove(kind)
@@ -241,8 +244,7 @@ class Device:
         self._splitter = Splitter(self._protocol, self._bit_rate)
         self._decoder = self._protocol.decoder()
         self._replies = []
-        self._heard = b""
-        self._asked: list[type] = []
+        self._heard, self._asked = b"", []
         self._rate_hz = self._scenario.block.sample_rate_hz
         self._streaming = False
         self._switch_off()

@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.protocols import get_protocol
-from drivers.protocols.native import DEFAULT_BIT_RATE
+from drivers.protocols.base import Protocol
+from drivers.protocols.native import DEFAULT_BIT_RATE, Native
 from drivers.recording import write_recording
 from drivers.timebase import Timebase
 from inertial.documents import BlockModel, Calibration
@@ -123,7 +123,7 @@ class LineSimulator:
         line: Line,
         *,
         timebase: Timebase,
-        protocol: str = "native",
+        protocol: Protocol | None = None,
         bit_rate: int = DEFAULT_BIT_RATE,
         memory: Path | None = None,
         report: Report | None = None,
@@ -134,7 +134,7 @@ class LineSimulator:
         self._device = Device(
             scenario,
             model,
-            get_protocol(protocol),
+            protocol or Native(),
             bit_rate=bit_rate,
             memory=TermMemory(memory),
             now_s=timebase.now_s(),
@@ -293,7 +293,7 @@ def run_on_line(
     tcp_port: int | None = None,
     timebase: Timebase,
     stop: threading.Event,
-    protocol: str = "native",
+    protocol: Protocol | None = None,
     bit_rate: int = DEFAULT_BIT_RATE,
     memory: Path | None = None,
     ledger: Path | None = None,

@@ -102,7 +102,8 @@ class Protocol(ABC):
     [bytes], ``temperatures`` the number of temperature sensors in its samples, ``bit_rates`` what its devices are set
     to, the usual one first, ``checksum_bits`` how many bits prove a frame, and ``commands`` whether its devices are
     told when to speak; others speak from power-up. ``requests`` are bytes that make such a device say something of
-    itself, each with the message that it answers with; they are sent whenever a line has been opened.
+    itself, each with the message that it answers with; they are sent whenever a line has been opened. ``rates_hz`` are
+    the sample rates that its devices have, none where they have any.
     """
 
     name: ClassVar[str]
@@ -113,6 +114,7 @@ class Protocol(ABC):
     sync: tuple[bytes, ...]
     longest: int
     temperatures: int = 1
+    rates_hz: tuple[float, ...] = ()
 
     @abstractmethod
     def measure(self, data: Buffer, start: int, stop: int) -> int:

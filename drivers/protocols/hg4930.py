@@ -76,6 +76,7 @@ class Hg4930(Protocol):
 
     def __init__(self, *, message: object = "inertial") -> None:
         self.message = choice("message", message, ("inertial", "control"))
+        self.rates_hz = (SLOT_RATE_HZ / SLOTS,) if self.message == "inertial" else (SLOT_RATE_HZ,)
 
     def measure(self, data: Buffer, start: int, stop: int) -> int:
         """Return the length that the message number stands for."""

@@ -179,6 +179,7 @@ class Stim300(Protocol):
     bit_rates: ClassVar[tuple[int, ...]] = BIT_RATES
     requests: ClassVar[Mapping[bytes, type]] = {b"C\r": Configuration, b"I\r": Identity}
     temperatures = TEMPERATURES
+    rates_hz = RATES_HZ
 
     def __init__(
         self,

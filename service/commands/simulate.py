@@ -7,10 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.options import EpochOption, ProtocolOption, SpeedOption, check_targets
+from service.commands.options import (
+    EpochOption,
+    OptionOption,
+    ProtocolOption,
+    SpeedOption,
+    check_targets,
+    protocol_of,
+)
 from service.errors import RefusedInput
 
 if TYPE_CHECKING:
+    from drivers.protocols.base import Protocol
     from inertial.documents import BlockModel
     from simulators.scenarios import Scenario
 
@@ -32,6 +40,7 @@ def simulate(
     ] = None,
     model: Annotated[Path | None, typer.Option("--model", metavar="FILE", help="Block model (block.json).")] = None,
     protocol: ProtocolOption = "native",
+    option: OptionOption = None,
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Seed of the noise.")] = None,
     speed: SpeedOption = 1.0,
     epoch: EpochOption = None,
@@ -44,7 +53,8 @@ def simulate(
 ) -> None:
     """Simulate a block: stream its frames on a pseudo-terminal or a TCP port, or write a recording.
 
-    Without a scenario it is the demo's; without a model the one that the scenario names, else an ideal block.
+    Without a scenario it is the demo's, at a sample rate that the protocol's devices have; without a model the one that
+    the scenario names, else an ideal block.
     """
     if sum(one is not None for one in (pty, tcp, out)) != 1:
         remedy = "--pty and --tcp stream frames, --out writes a recording."
@@ -53,11 +63,15 @@ def simulate(
     from simulators.errors import ScenarioError
 
     plan, block = _plan(scenario, model, seed)
+    spoken = protocol_of(protocol, option)
+    if scenario is None and spoken.rates_hz:
+        rate_hz = min(spoken.rates_hz, key=lambda one: abs(one - plan.block.sample_rate_hz))
+        plan = plan.model_copy(update={"block": plan.block.model_copy(update={"sample_rate_hz": rate_hz})})
     try:
         if out is not None:
             _write(plan, block, out)
         else:
-            _stream(plan, block, pty, tcp, protocol, speed, epoch, ledger, control)
+            _stream(plan, block, pty, tcp, spoken, speed, epoch, ledger, control)
     except ScenarioError as error:
         place = " with ".join(str(path) for path in (scenario, model) if path is not None) or "simulate"
         raise RefusedInput(place, f"{error}.", "Correct the scenario or the model.") from None
@@ -97,7 +111,7 @@ def _stream(
     block: BlockModel,
     pty: Path | None,
     tcp: int | None,
-    protocol: str,
+    protocol: Protocol,
     speed: float,
     epoch: float | None,
     ledger: Path | None,

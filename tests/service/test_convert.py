@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -226,21 +224,18 @@ def test_capture_stores_in_compressed_parts_and_converts(run: Run, tmp_path: Pat
 
 
 def test_detect_names_what_is_on_the_line(tmp_path: Path) -> None:
-    """In a process of its own, as a port is opened: a STIM300 on a pty, at whatever bit rate."""
-    far, near = os.openpty()
-    tty.setraw(near)
-    stream = get_protocol("stim300").encode_samples(samples_at(2000.0, 150))
-    command = [sys.executable, "-m", "service.cli", "detect", os.ttyname(near), "--json", str(tmp_path / "a.json")]
-    process = subprocess.Popen([*command, "--listen", "1"], stdout=subprocess.PIPE)
-    os.set_blocking(far, False)
-    while process.poll() is None:
-        try:
-            os.write(far, stream)
-        except BlockingIOError:
-            time.sleep(0.01)
-    os.close(far)
-    os.close(near)
-    assert process.returncode == 0
+    """Both ends in processes of their own: the simulator in a STIM300's place, and whoever wonders what that is."""
+    program, pty = [sys.executable, "-m", "service.cli"], str(tmp_path / "tty")
+    options = ["--protocol", "stim300", "--option", "accel_range_g=30"]
+    device = subprocess.Popen([*program, "simulate", *options, "--pty", pty], stdout=subprocess.PIPE)
+    try:
+        assert device.stdout is not None
+        assert json.loads(device.stdout.readline()) == {"event": "ready"}
+        command = [*program, "detect", pty, "--json", str(tmp_path / "a.json"), "--listen", "3"]
+        assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
+    finally:
+        device.terminate()
+        device.wait(20)
     best = json.loads((tmp_path / "a.json").read_text())[0]
     assert best["protocol"] == "stim300"
     assert best["confidence"] > 0.9
