@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from service.archive import Member, write_archive
 from service.cli import app, explain
-from service.store import Carried, Store, TransitionRecord, utc_now
+from service.store import Carried, Store, TransitionRecord, revisions, utc_now
 
 DOCUMENT = '{"schema": "inertrim/result/1", "terms": [1.5e-3, "µ"]}'
 
@@ -201,6 +201,20 @@ def test_a_shared_database_and_a_missing_store_are_refused_with_the_remedy(tmp_p
     site.settings.write_text('[store]\ndatabase_url = "postgresql:///fleet"\n')
     code, said = inertrim("backup", "--out", tmp_path / "a", "--config", site.settings)
     assert (code, "pg_dump" in said) == (2, True)
+
+
+def test_a_store_is_taken_back_by_command_and_comes_forward_by_itself(site: Site) -> None:
+    with site.store() as store:
+        run_id = site.add_run(store)
+    newest = revisions.known()[-1]
+    assert inertrim("store", "revision", "--config", site.settings)[1].startswith(f"{newest} ")
+    code, said = inertrim("store", "downgrade", "0001", "--config", site.settings)
+    assert (code, said.strip()) == (0, f"revision {newest} -> 0001")
+    assert inertrim("store", "revision", "--config", site.settings)[1].startswith("0001 ")
+    code, said = inertrim("store", "downgrade", "0001", "--config", site.settings)
+    assert (code, "cannot go back" in said) == (2, True)
+    with site.store() as store:
+        assert store.result(run_id) == DOCUMENT
 
 
 # ---------------------------------------------------------------- bundles

@@ -7,6 +7,8 @@ import json
 import logging
 import math
 import re
+import shutil
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -211,3 +213,21 @@ def test_labels_that_rules_ask_for_exist(service: Serving) -> None:
     asked = set(re.findall(r'\b(state|route|queue|target)=\\?"([^"\\]+)\\?"', text))
     assert asked
     assert asked <= told
+
+
+@pytest.fixture
+def promtool() -> str:
+    tool = shutil.which("promtool")
+    if tool is None:
+        pytest.skip("promtool is not installed (Debian: apt install prometheus)")
+    return tool
+
+
+def test_prometheus_own_lint_finds_nothing(service: Serving, promtool: str) -> None:
+    for arguments, given in (
+        (["check", "metrics"], service[1].get("/metrics").content),
+        (["check", "config", str(DEPLOY / "prometheus" / "prometheus.yml")], b""),
+        (["check", "rules", str(DEPLOY / "prometheus" / "alerts.yml")], b""),
+    ):
+        done = subprocess.run([promtool, *arguments], input=given, capture_output=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr

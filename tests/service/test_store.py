@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from http_bench import serving
 from postgres_bench import Postgres, postgres_server
 from sqlalchemy import text
 
-from service.config import StoreSettings
+from service.config import StoreSettings, load_settings
 from service.store import Store, StoreError, TokenRecord, TransitionRecord, revisions, utc_now
 from service.store.maintenance import current_revision, take_back
 from service.store.postgres import PostgresDatabase
@@ -272,3 +273,24 @@ def test_going_back_is_refused_where_it_cannot_be(tmp_path: Path) -> None:
     for revision in ("9999", revisions.known()[-1]):
         with pytest.raises(StoreError, match="cannot go back"):
             take_back(settings, revision)
+
+
+def test_a_service_runs_on_a_shared_database(postgres: Postgres, tmp_path: Path) -> None:
+    store = {"path": tmp_path / "inertrim.db", "database_url": postgres.database_url(), "launcher": "north"}
+    line, site = {"url": str(tmp_path / "no-line")}, {"latitude_deg": 35.7}
+    with serving(load_settings(None, store=store, link=line, site=site)) as (controller, client):
+        run_id = client.post("/api/v1/runs", json={"method": "paper"}).json()["run_id"]
+        assert client.post(f"/api/v1/runs/{run_id}/abort", json={"operator": "Ada"}).status_code == 202
+        assert client.get("/readyz").status_code == 200
+        deadline_s = time.monotonic() + 20.0
+        while client.get(f"/api/v1/runs/{run_id}").json()["ended"] is None:  # the recorder writes behind
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        assert controller.store.verify_audit({}).faults == ()
+    south = Store(store["database_url"], "south")
+    run = south.run(run_id)
+    south.close()
+    assert run is not None
+    assert (run.launcher, run.state) == ("north", "ABORTED")
+    assert (tmp_path / "inertrim-runs" / run_id).is_dir()
+    assert not (tmp_path / "inertrim.db").exists()
