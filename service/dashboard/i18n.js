@@ -55,7 +55,7 @@ const fa = {
   critical: "بحرانی", warning: "هشدار", ok: "خوب", failed: "نقض", pending: "در آستانه", unknown: "نامعلوم", acknowledged: "پذیرفته",
   acknowledged_by: "پذیرنده", acknowledge_condition: "از شرط نقض‌شده بی‌صدا نمی‌گذریم: نام و دلیل شما ثبت می‌ماند.",
   sensors: "حسگرها، زنده", temperature: "دما", accel: "شتاب‌سنج", gyro: "ژیروسکوپ", no_samples: "هنوز نمونه‌ای نیست.",
-  terms: "جمله‌ها به تفکیک مرحله", terms_text: "آنچه به خوانش‌ها افزوده می‌شود. خط: ۱σ. نوار: آنچه پیری توضیح می‌دهد (± {accel} mg، ± {gyro} deg/h).",
+  terms: "جمله‌ها به تفکیک مرحله", terms_text: "آنچه به خوانش‌ها افزوده می‌شود. خط: ۱σ. نوار: آنچه پیری توضیح می‌دهد (\u2066± {accel} mg\u2069، \u2066± {gyro} deg/h\u2069).",
   no_terms: "هنوز مرحله‌ای کامل نشده است.", sensor: "حسگر", stage: "مرحله", final: "نهایی",
   navigation_error: "خطای ناوبری در سکون", navigation_text: "پس از {t} ثانیه: {without} متر بدون جمله‌ها، {with} متر با آنها ({with95} متر در ۹۵٪).",
   without: "بدون", with_50: "با، ۵۰٪", with_95: "با، ۹۵٪", no_result: "وقتی اجرا نتیجه داشته باشد.",

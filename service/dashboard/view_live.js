@@ -226,7 +226,7 @@ function paintConditions(place, conditions) {
         h(
           "details",
           { "data-name": one.name, open: open.has(one.name) },
-          h("summary", {}, h("span", { class: "mark", "aria-hidden": "true" }, MARKS[one.state]), tell(words.title), h("span", { class: "value" }, t(one.state), one.state === "ok" || one.state === "unknown" || one.measured === null ? null : ` · ${measured(one)}`)),
+          h("summary", {}, h("span", { class: "mark", "aria-hidden": "true" }, MARKS[one.state]), tell(words.title), h("span", { class: "value" }, t(one.state), one.state === "ok" || one.state === "unknown" || one.measured === null ? null : [" · ", said(measured(one))])),
           h(
             "dl",
             {},
@@ -251,7 +251,7 @@ function measured(one) {
 
 function paintLine(place, status, line, stale) {
   const counts = line ? Object.entries(line.counters).filter(([, count]) => count > 0) : [];
-  const age = live.silentMs > 800 ? `${t("silent_for", { s: (live.silentMs / 1000).toFixed(1) })}` : status.age_s === null ? "–" : `${status.age_s.toFixed(2)} s`;
+  const age = live.silentMs > 800 ? `${t("silent_for", { s: (live.silentMs / 1000).toFixed(1) })}` : status.age_s === null ? "–" : `\u2066${status.age_s.toFixed(2)} s\u2069`;
   refill(place, [status.link, age, counts, stale, i18n.language], () => [
     h(
       "dl",
