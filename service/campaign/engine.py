@@ -7,6 +7,7 @@ thousand. A worker that dies is replaced, and its chunk goes to another, by dask
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import tempfile
@@ -16,16 +17,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyarrow as pa
 
 from service.campaign.chunks import Chunks
 from service.campaign.spec import Campaign
 from service.errors import RefusedInput
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 AHEAD = 2
 """Chunks on their way for each worker."""
@@ -89,16 +87,16 @@ def run_campaign(
     tell = progress or _silent
     if chunks.finished:
         return Done(spec.trials, 0, 0.0, 0, 0, None)
-    _require_dask()
+    distributed = _distributed()
     chunks.begin()
     before = chunks.trials_done()
     tell(before, spec.trials)
     began, pace, moved, size = time.monotonic(), _Pace(), 0, 0
     if before < spec.trials:
-        with _client(workers, scheduler) as client:
-            size = len(client.nthreads())
+        with _client(distributed, workers, scheduler) as client:
+            size = max(1, len(client.nthreads()))
             done = before
-            for chunk, answer in _answers(client, spec, chunks):
+            for chunk, answer in _answers(distributed, client, spec, chunks):
                 chunks.save(chunk, pa.ipc.open_stream(answer).read_all())
                 done += chunks.span(chunk)[1]
                 moved += len(answer) + len(spec.text())
@@ -147,25 +145,22 @@ class _Pace:
         return sum(trials for _, trials in warm[1:]) / elapsed_s if elapsed_s > 0.0 else None
 
 
-def _answers(client: Client, spec: Campaign, chunks: Chunks) -> Iterator[tuple[int, bytes]]:
+def _answers(distributed: Any, client: Any, spec: Campaign, chunks: Chunks) -> Iterator[tuple[int, bytes]]:
     """Yield finished chunks as they come, keeping only some on their way."""
-    from distributed import as_completed
-    from distributed.scheduler import KilledWorker
-
-    text, todo = spec.text(), chunks.missing()
+    text, todo, name = spec.text(), chunks.missing(), spec.digest()[:16]
     numbers: dict[str, int] = {}
 
     def submit(chunk: int) -> Any:
-        future = client.submit(run_chunk, text, *chunks.span(chunk), key=f"trials-{chunk}", pure=False)
+        future = client.submit(run_chunk, text, *chunks.span(chunk), key=f"{name}-{chunk}", pure=False)
         numbers[future.key] = chunk
         return future
 
     first = [submit(chunk) for chunk in islice(todo, AHEAD * max(1, len(client.nthreads())))]
-    coming = as_completed(first, loop=client.loop)
+    coming = distributed.as_completed(first, loop=client.loop)
     for future in coming:
         try:
             answer: bytes = future.result()
-        except KilledWorker:
+        except distributed.KilledWorker:
             first_trial, count = chunks.span(numbers[future.key])
             reason = f"{DEATHS} workers died of trials {first_trial} to {first_trial + count - 1}"
             raise CampaignFailed(f"{reason}. Look into their logs; then call again, to go on.") from None
@@ -180,20 +175,19 @@ def _answers(client: Client, spec: Campaign, chunks: Chunks) -> Iterator[tuple[i
 
 
 @contextmanager
-def _client(workers: int | None, scheduler: str | None) -> Iterator[Client]:
+def _client(distributed: Any, workers: int | None, scheduler: str | None) -> Iterator[Any]:
     """Give a client of a running cluster: a local one, or the one at an address."""
     import dask
-    from distributed import Client, LocalCluster
 
     logging.getLogger("distributed").setLevel(logging.ERROR)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}))
         if scheduler is not None:
-            yield stack.enter_context(_connected(scheduler))
+            yield stack.enter_context(_connected(distributed, scheduler))
             return
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="inertrim-dask-"))
         cluster = stack.enter_context(
-            LocalCluster(
+            distributed.LocalCluster(
                 n_workers=workers or os.cpu_count() or 1,
                 threads_per_worker=1,
                 processes=True,
@@ -202,22 +196,28 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client]:
                 local_directory=folder,
             )
         )
-        yield stack.enter_context(Client(cluster, set_as_default=False))
+        yield stack.enter_context(distributed.Client(cluster, set_as_default=False))
 
 
-def _connected(scheduler: str) -> Client:
-    from distributed import Client
-
+def _connected(distributed: Any, scheduler: str) -> Any:
     try:
-        return Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = f"{scheduler} does not answer as a dask scheduler ({error})."
         raise RefusedInput("--scheduler", reason, "Give the address that the scheduler printed, tcp://…") from None
-
-
-def _require_dask() -> None:
     try:
-        import distributed  # noqa: F401
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError:
+        client.close()
+        remedy = f"Start some: dask worker {scheduler} --nthreads 1."
+        raise RefusedInput("--scheduler", f"{scheduler} has no workers.", remedy) from None
+    return client
+
+
+def _distributed() -> Any:
+    """Return the engine, whose calls carry no types."""
+    try:
+        return importlib.import_module("distributed")
     except ImportError:
         remedy = "Install the extra: pip install 'inertrim[cluster]'."
         raise RefusedInput("campaign", "needs dask.distributed, which is not installed.", remedy) from None

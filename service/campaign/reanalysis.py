@@ -29,6 +29,7 @@ COLUMNS = pa.schema(
         ("heldout_rms_after", pa.float64()),
         ("model_sha256", pa.string()),
         ("wall_analyse_s", pa.float64()),
+        ("wall_cpu_s", pa.float64()),
     ]
 )
 """``findings`` is the JSON of ``report.json``'s findings; ``effects`` their names as effect:channel."""
@@ -42,7 +43,7 @@ def run_reanalysis(spec: Campaign, trial: int) -> dict[str, Any]:
         "block": subject.block,
         "recordings": [path.name for path in subject.recordings],
     }
-    began = time.perf_counter()
+    began, cpu_s = time.perf_counter(), time.process_time()
     try:
         report = discrepancy([read_recording(path) for path in subject.recordings], load_model(subject.model))
     except (RecordingError, ScenarioError) as error:
@@ -59,4 +60,4 @@ def run_reanalysis(spec: Campaign, trial: int) -> dict[str, Any]:
             "heldout_rms_after": gap["after"],
             "model_sha256": report.document["model"]["sha256"],
         }
-    return row | {"wall_analyse_s": time.perf_counter() - began}
+    return row | {"wall_analyse_s": time.perf_counter() - began, "wall_cpu_s": time.process_time() - cpu_s}

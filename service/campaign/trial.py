@@ -46,13 +46,16 @@ COLUMNS = pa.schema(
         *((f"radial_{kind}_{terms}_m", pa.float64()) for kind in ("rest", "turn") for terms in ("without", "with")),
         ("wall_simulate_s", pa.float64()),
         ("wall_estimate_s", pa.float64()),
+        ("wall_cpu_s", pa.float64()),
     ]
 )
-"""Terms f in m/s², g in rad/s. ``radial_…`` after 300 s of navigation, where the study asks for it."""
+"""Terms f in m/s², g in rad/s. ``radial_…`` after 300 s of navigation, where the study asks for it; ``wall_cpu_s``
+is processor time, whatever else the machine does."""
 
 
 def run_trial(spec: Campaign, trial: int) -> dict[str, Any]:
     """Run one trial; a block that is not fit is a result, and so is a recording that is refused."""
+    cpu_s = time.process_time()
     levels = levels_of(spec, trial)
     rng = np.random.default_rng(trial_seed(spec.campaign.seed, trial))
     block_seed, noise_seed = (int(number) for number in rng.integers(0, 2**31, 2))
@@ -74,7 +77,8 @@ def run_trial(spec: Campaign, trial: int) -> dict[str, Any]:
         except RefusedInput as refusal:
             row |= {"verdict": "refused", "fit": False, "reason": str(refusal).replace(folder, "")}
         ended = time.perf_counter()
-    return row | {"wall_simulate_s": simulated - began, "wall_estimate_s": ended - simulated}
+    walls = {"wall_simulate_s": simulated - began, "wall_estimate_s": ended - simulated}
+    return row | walls | {"wall_cpu_s": time.process_time() - cpu_s}
 
 
 def _six(terms: dict[str, list[float]]) -> list[float]:
