@@ -73,9 +73,10 @@ class Change(BaseModel):
 
 
 class Run(BaseModel):
-    """One run."""
+    """One run; ``launcher`` wrote it, where many share a store."""
 
     run_id: str
+    launcher: str
     state: str
     reason: str
     verdict: str | None

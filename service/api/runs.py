@@ -171,7 +171,9 @@ def _file(record: RunRecord, path: Path, what: str, media_type: str, name: str |
 
 def _nothing_yet(record: RunRecord, what: str) -> ProblemError:
     over = record.ended_utc is not None
-    detail = f"Run {record.id} {'ended' if over else 'stands'} in {record.state} ({record.reason}) without {what}."
+    stands = f"{'ended' if over else 'stands'} in {record.state} ({record.reason})"
+    # Where launchers share a store, files lie with the launcher that wrote them.
+    detail = f"Run {record.id} of launcher {record.launcher!r} {stands}; there is no {what} of it here."
     return ProblemError(404, f"no-{what}", detail, state=record.state)
 
 
@@ -186,6 +188,7 @@ def _run(record: RunRecord) -> dict[str, Any]:
         "operator": record.operator,
         "started": record.started_utc,
         "ended": record.ended_utc,
+        "launcher": record.launcher,
         "software": record.software,
         "request": record.request,
         "block": record.block,
