@@ -45,7 +45,7 @@ TURNED_S = 30.0
 """Simulated seconds after which a block that was turned must not be called fit."""
 RECOVERY_S = 5_400.0
 """Simulated seconds from a fault to READY after which the service counts as stuck: settling, holding and a run."""
-SPAN_S, FIRST_S = 900.0, 3_600.0
+SPAN_S, FIRST_S = 300.0, 3_600.0
 """Memory is averaged over such spans [simulated s]; the first hour of a process fills caches and does not count."""
 
 
@@ -180,6 +180,8 @@ class Soak:
             return
         if status["state"] in ("HOLD", "FAULT", "ABORTED") and trouble.reaction == "none":
             trouble.reaction = f"{status['state']} {status['reason']}"
+        elif status["state"] == "READY" and not status["fit"] and trouble.reaction == "none":
+            trouble.reaction = "not fit while it lasts"
         since_s = now_s - trouble.at_s
         fit = status["state"] == "READY" and status["fit"]
         if not fit:
@@ -193,7 +195,7 @@ class Soak:
             trouble.recovered_s = trouble.ready_s
             trouble.same_run = trouble.run_id == status["run_id"]
             if trouble.reaction == "none" and not trouble.same_run:
-                trouble.reaction = "run begun anew"
+                trouble.reaction = "next run as usual"
             self.say(
                 f"{now_s / 3600:7.2f} h  {' + '.join(trouble.faults):28} in {trouble.state:10} -> "
                 f"{trouble.reaction:28} READY after {trouble.recovered_s:6.0f} s"
