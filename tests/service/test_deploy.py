@@ -134,8 +134,11 @@ def health_check() -> list[str]:
     return command
 
 
-def test_the_container_runs_without_rights() -> None:
+def test_the_container_is_built_of_what_is_there_and_runs_without_rights() -> None:
     text = (DEPLOY / "container" / "Containerfile").read_text()
+    copied = [word for line in re.findall(r"^COPY (?!--from)(.*) \S+$", text, re.MULTILINE) for word in line.split()]
+    assert {"pyproject.toml", "requirements.lock", "service"} <= set(copied)
+    assert all((ROOT / name).exists() for name in copied)
     user = re.findall(r"^USER (\d+)", text, re.MULTILINE)
     assert user
     assert int(user[-1]) > 0
