@@ -334,6 +334,7 @@ class Soak:
             "largest_resident_mb": max((max(life.resident_mb, default=0.0) for life in self.lives), default=0.0),
             "largest_open_files": max((max(life.files, default=0) for life in self.lives), default=0),
             "growth": growth,
+            "resident_mb": [level.round(2).tolist() for _, level in lives],
         }
 
 
@@ -382,7 +383,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps(found, indent=2) + "\n")
     if arguments.page:
         write_page(arguments.page, found, arguments.seed)
-    print(json.dumps({key: value for key, value in found.items() if key != "troubles"}, indent=2))
+    print(json.dumps({key: value for key, value in found.items() if key not in ("troubles", "resident_mb")}, indent=2))
     raise SystemExit(any(found[what] for what in ("stuck", "lost", "bad_ends", "false_fit")))
 
 
