@@ -22,7 +22,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "console-integration.md").read_text
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
-    bench = Bench(tmp_path_factory.mktemp("console"))
+    bench = Bench(tmp_path_factory.mktemp("console"), align_s=6.0, stage_s=12.0, verify_s=10.0)
     made = ServiceProcess(bench, free_port())
     yield made
     made.terminate()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import ssl
 import subprocess
@@ -359,11 +358,11 @@ def edit(folder: Path, *statements: str) -> None:
     connection.close()
 
 
-def faults_of(folder: Path, *arguments: str) -> list[str]:
-    found = inertrim("audit", "verify", "--json", "-", *arguments, folder=folder)
-    facts = json.loads(found.stdout[: found.stdout.rindex("}") + 1])
-    assert found.returncode == (1 if facts["faults"] else 0), found.stderr
-    return list(facts["faults"])
+def faults_of(folder: Path, noted: dict[int, str] | None = None) -> list[str]:
+    store = Store(folder / "inertrim.db")
+    found = store.verify_audit(noted or {})
+    store.close()
+    return list(found.faults)
 
 
 @pytest.mark.parametrize("statement", ["UPDATE audit SET who = 'Eve' WHERE number = 7", "DELETE FROM audit"])
@@ -396,8 +395,8 @@ def test_every_edit_is_found(audited: Path, statement: str, named: str) -> None:
 
 def test_a_tail_cut_off_with_its_head_is_found_by_the_file_beside_the_store_or_by_what_was_noted(audited: Path) -> None:
     noted = Store(audited / "inertrim.db").audit_log(1)[0]
-    witness = f"{noted['number']}:{noted['sha256']}"
-    assert faults_of(audited, "--noted", witness) == []
+    witness = {noted["number"]: noted["sha256"]}
+    assert faults_of(audited, witness) == []
     edit(
         audited,
         "DELETE FROM audit WHERE number > 15",
@@ -406,4 +405,13 @@ def test_a_tail_cut_off_with_its_head_is_found_by_the_file_beside_the_store_or_b
     assert any("entry 16 is gone" in fault for fault in faults_of(audited))
     (audited / "inertrim.db.audit").unlink()
     assert faults_of(audited) == []  # nothing is left that knows of it …
-    assert any("entry 20 is gone" in fault for fault in faults_of(audited, "--noted", witness))  # … but what was noted
+    assert any("entry 20 is gone" in fault for fault in faults_of(audited, witness))  # … but what was noted
+
+
+def test_the_command_line_tells_by_its_exit_code_and_prints_the_head_to_note(audited: Path) -> None:
+    sound = inertrim("audit", "verify", folder=audited)
+    head = Store(audited / "inertrim.db").audit_log(1)[0]["sha256"]
+    assert (sound.returncode, f"20:{head}" in sound.stdout) == (0, True), sound.stderr
+    noted = inertrim("audit", "verify", "--noted", f"20:{'0' * 64}", "--json", "-", folder=audited)
+    assert (noted.returncode, "entry 20 differs" in noted.stdout) == (1, True)
+    assert inertrim("audit", "verify", "--noted", "twenty", folder=audited).returncode == 2
