@@ -49,6 +49,8 @@ HOST_PATIENCE_S = 5.0
 """Real seconds that power-up and self-test get at least, however fast simulated time runs."""
 ALWAYS_SHOWN = "sample_rate:"
 """Condition that no state names for itself, and that an operator must know of before a run ends unfit."""
+HANGS_AFTER_S = 300.0
+"""Real seconds after which a piece of work (an estimate, a write) hangs: a disk or database does not answer."""
 DEAD_AFTER_S = 2.0
 """Real seconds without a sign of life of the acquisition thread after which nothing it said counts."""
 
@@ -163,8 +165,15 @@ class Controller:
 
     def health(self) -> list[str]:
         """Return why the service is not alive; nothing when it is."""
-        dead_s = self.silence_s()
-        return [f"the acquisition thread is silent for {dead_s:.1f} s"] if dead_s > DEAD_AFTER_S else []
+        dead_s, busy_s = self.silence_s(), self.busy_s()
+        reasons = [f"the acquisition thread is silent for {dead_s:.1f} s"] if dead_s > DEAD_AFTER_S else []
+        if busy_s > HANGS_AFTER_S:
+            reasons.append(f"one piece of work has taken {busy_s:.0f} s")
+        return reasons
+
+    def busy_s(self) -> float:
+        """Return for how long [real s] the worker has been at the piece of work in hand."""
+        return self._worker.busy_s
 
     def silence_s(self) -> float:
         """Return how long ago [real s] the acquisition thread finished a turn."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -69,6 +70,7 @@ class Worker:
         self._plans: dict[str, RunPlan] = {}
         self._run_id: str | None = None
         self._facts: dict[str, Any] = {}
+        self._begun_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def start(self) -> None:
@@ -92,12 +94,19 @@ class Worker:
         """How many orders wait."""
         return self._orders.qsize()
 
+    @property
+    def busy_s(self) -> float:
+        """How long [real s] the piece of work in hand has taken so far, 0 without one."""
+        begun_s = self._begun_s
+        return time.monotonic() - begun_s if begun_s is not None else 0.0
+
     def submit(self, order: Order | Callable[[], None]) -> None:
         """Queue an order, or any piece of work that must keep its place among them."""
         self._orders.put(order)
 
     def _work(self) -> None:
         while (order := self._orders.get()) is not None:
+            self._begun_s = time.monotonic()
             try:
                 if callable(order):
                     order()
@@ -107,6 +116,7 @@ class Worker:
                 log.exception("worker", order=type(order).__name__)
                 if isinstance(order, AskBlock | Estimate | Conclude):
                     self._reply(Reply(order.token, _what(order), error="a fault of the program; its log tells more"))
+            self._begun_s = None
 
     def _do(self, order: Order) -> None:
         try:

@@ -83,6 +83,11 @@ class ServiceCollector(Collector):
             "Time since the acquisition thread last finished a turn.",
             value=controller.silence_s(),
         )
+        yield GaugeMetricFamily(
+            "inertrim_worker_busy_seconds",
+            "Time that the piece of work in hand has taken so far, 0 without one.",
+            value=controller.busy_s(),
+        )
         changes = CounterMetricFamily(
             "inertrim_transitions", "Changes of state, by the state they led to.", labels=["target"]
         )

@@ -9,6 +9,7 @@ import math
 import re
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -107,6 +108,25 @@ def test_a_run_s_terms_and_verification_are_told(tmp_path: Path) -> None:
         }
     assert found["inertrim_verification_chi_squared"].samples[0].value == 7.5
     assert found["inertrim_verification_chi_squared_limit"].samples[0].value == 22.5
+
+
+def test_work_that_hangs_is_told_and_makes_the_service_unhealthy(
+    service: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller, client = service
+    release = threading.Event()
+    controller._worker.submit(lambda: release.wait(60.0) and None)  # a disk that does not answer
+    try:
+        monkeypatch.setattr("service.controller.HANGS_AFTER_S", 0.05)
+        deadline_s = time.monotonic() + 20.0
+        while (answer := client.get("/healthz")).status_code == 200:
+            assert time.monotonic() < deadline_s
+        assert "one piece of work" in answer.text
+        assert families(client)["inertrim_worker_busy_seconds"].samples[0].value > 0.05
+    finally:
+        release.set()
+    while client.get("/healthz").status_code != 200:
+        assert time.monotonic() < deadline_s + 20.0
 
 
 def test_requests_are_timed_by_route_and_guessed_paths_make_no_series(service: Serving) -> None:
