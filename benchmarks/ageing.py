@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, poisson
 
+from benchmarks.__main__ import replace_table
 from inertial.ageing_fleet import KINDS, TERMS, analyse_fleet
 from inertial.ageing_forecast import HORIZON_MONTHS, PROBABILITY
 from inertial.ageing_steps import FALSE_ALARMS_PER_BLOCK_YEAR, predicted_sigma
@@ -192,6 +193,7 @@ def _alarms(fleets: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ageing", description=__doc__)
     parser.add_argument("--json", type=Path, help="write the figures to this file")
+    parser.add_argument("--page", type=Path, help="rewrite the table between <!-- bench:ageing --> in this page")
     parser.add_argument("--fleets", type=int, default=5, help="of each law (default 5)")
     parser.add_argument("--blocks", type=int, default=BLOCKS, help="of each fleet (default 200)")
     parser.add_argument("--laws", default=",".join(CASES), help="some of them, by name")
@@ -211,21 +213,27 @@ def main() -> None:
                 print(part, case, json.dumps(found), flush=True)
                 if arguments.json:
                     arguments.json.write_text(json.dumps(figures | {"table": table(figures)}, indent=2) + "\n")
+    if arguments.page:
+        arguments.page.write_text(replace_table(arguments.page.read_text(), "ageing", table(figures)))
 
 
 def table(figures: dict[str, Any]) -> dict[str, Any]:
     """Return the rows for documents."""
-    header = ["law", "intervals", "90 % covers", "99.9 % band", "3σ steps in time", "false alarms a block-year"]
+    header = ["law", "intervals", "90 % covers", "99.9 % band", "design effect"]
+    header += ["steps by third check", "by three later", "ever", "false alarms a block-year"]
     rows = []
     for case in CASES:
         cover, step = (figures.get(part, {}).get(case) for part in ("coverage", "steps"))
-        cells = ["–"] * 3
+        cells = ["–"] * 7
         if cover:
-            cells = [str(cover["intervals"]), f"{cover['coverage']:.3f}", "{:.3f} to {:.3f}".format(*cover["band"])]
+            cells[:2] = [str(cover["intervals"]), f"{cover['coverage']:.3f}"]
+            cells[2:4] = ["{:.3f} to {:.3f}".format(*cover["band"]), f"{cover['design_effect']:.1f}"]
+        if step:
+            cells[4:] = [f"{step[f'share_{key}']:.3f}" for key in ("by_third_check", "in_time", "ever")]
         alarms = [one for one in (cover, step) if one]
         if alarms:
             rate = sum(one["false_alarms"] for one in alarms) / sum(one["block_years"] for one in alarms)
-            rows.append([case, *cells, f"{step['share_in_time']:.3f}" if step else "–", f"{rate:.4f}"])
+            rows.append([case, *cells, f"{rate:.4f}"])
     return {"header": header, "rows": rows}
 
 

@@ -72,9 +72,11 @@ class TermHistories:
     def of(cls, blocks: Sequence[tuple[Array, Array, Array]]) -> TermHistories:
         """Return the histories of blocks, each given as months, values and σ."""
         lengths = [len(months) for months, _, _ in blocks]
-        columns = [np.concatenate([np.asarray(block[k], dtype=np.float64) for block in blocks]) for k in range(3)]
         offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        return cls(offsets, *columns, stepped=np.zeros(offsets[-1], dtype=np.bool_))
+        months, value, sigma = (
+            np.concatenate([np.asarray(block[k], dtype=np.float64) for block in blocks]) for k in range(3)
+        )
+        return cls(offsets, months, value, sigma, np.zeros(len(months), dtype=np.bool_))
 
     @property
     def jump(self) -> Array:
@@ -131,9 +133,12 @@ class PopulationFit:
 
 @compiled
 def _growth(months: Array, exponent: float, law_months: float) -> Array:
-    if abs(exponent) < 1e-9:
-        return np.log1p(months / law_months) / np.log1p(12.0 / law_months)
-    return np.expm1(exponent * np.log1p(months / law_months)) / np.expm1(exponent * np.log1p(12.0 / law_months))
+    aged: Array = np.log1p(months / law_months)
+    year = np.log1p(12.0 / law_months)
+    if abs(exponent) >= 1e-9:
+        aged, year = np.expm1(exponent * aged), np.expm1(exponent * year)
+    grown: Array = aged / year
+    return grown
 
 
 class _Axis:
@@ -201,6 +206,14 @@ class _Kind:
                 slope[place] += (axis(here + shift) - axis(here - shift)) / (2.0 * STEP)
         return slope
 
+    def depth(self, point: Array) -> float:
+        """Return minus the log posterior: what is lowest at the peak."""
+        return -self(point)
+
+    def depth_slope(self, point: Array) -> Array:
+        """Return its slope."""
+        return np.negative(self.gradient(point))
+
     def curvature(self, point: Array) -> Array:
         """Return minus the second derivatives, likewise, from differences of the slope."""
         count = len(point)
@@ -241,14 +254,9 @@ def fit_population(terms: Sequence[TermHistories]) -> list[PopulationFit]:
 
 
 def _peak(posterior: _Kind) -> Array:
-    climbed = minimize(
-        lambda point: -posterior(point),
-        posterior.start,
-        jac=lambda point: -posterior.gradient(point),
-        method="BFGS",
-        options={"gtol": 0.05, "maxiter": 200},
-    )
-    return np.asarray(climbed.x)
+    below, slope = posterior.depth, posterior.depth_slope
+    found = minimize(below, posterior.start, jac=slope, method="BFGS", options={"gtol": 0.05})
+    return np.asarray(found.x)
 
 
 def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Array]:

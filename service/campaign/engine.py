@@ -191,7 +191,7 @@ def _client(distributed: Any, workers: int | None, scheduler: str | None) -> Ite
                 n_workers=workers or os.cpu_count() or 1,
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
                 local_directory=folder,
             )
