@@ -30,6 +30,7 @@ from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
 from service.recovery import recover
 from service.run_folder import RunFolder
+from service.security.tokens import Tokens
 from service.sequencer import LineView, NotAllowed, Reply, Sequencer
 from service.states import Name
 from service.store import RunRecord, Store, TransitionRecord, utc_now
@@ -40,7 +41,7 @@ from service.worker import RunPlan, Worker
 log = structlog.get_logger()
 
 SNAPSHOT_EVERY_S = 0.05
-PROGRESS_EVERY_S = 0.25
+PROGRESS_EVERY_S = 0.2
 SAMPLES_EVERY_S = 0.2
 """Real seconds between events of each kind."""
 RECORD_AGAIN_S = 1.0
@@ -97,6 +98,7 @@ class Controller:
         self.store = Store(settings.store.database, settings.store.launcher, alone=True)
         self.hub = EventHub()
         self.leases = LeaseDesk()
+        self.tokens = Tokens(self.store)
         beside = settings.store.path
         self.models = ModelChoice(settings.block.model, beside.with_name(beside.stem + "-models"))
         self.desk = DiscrepancyDesk(settings, self.store, self.hub, self.models, self.folder, self._busy)
@@ -134,6 +136,7 @@ class Controller:
         self._recorder.start()
         self._worker.start()
         self._gatherer.start()
+        self.tokens.start()
         for run_id in self.interrupted:
             self._worker.submit(partial(recover, RunFolder(self.settings.store.runs, run_id), self.settings))
         self._acquisition.start()
@@ -147,6 +150,7 @@ class Controller:
             self._dispatch()
         self._acquisition.stop()
         self._gatherer.stop()
+        self.tokens.stop()
         self._worker.stop()
         self._stopping.set()
         self._records.put(None)

@@ -41,7 +41,7 @@ def run_service(settings: Settings) -> None:
     except StoreError as error:
         raise ConfigError(str(error)) from None
     try:
-        check_reach(settings.http, Tokens(controller.store))
+        check_reach(settings.http, controller.tokens)
     except ConfigError:
         listening.close()
         controller.store.close()

@@ -29,7 +29,6 @@ from service.controller import Controller
 from service.metrics import Metrics
 from service.metrics.latency import LatencyMiddleware
 from service.security import roles
-from service.security.tokens import Tokens
 
 MAX_BODY_BYTES = 64 * 1024
 
@@ -47,7 +46,7 @@ def create_app(controller: Controller) -> FastAPI:
     )
     app.state.controller = controller
     app.state.metrics = Metrics(controller)
-    app.state.access = cache(lambda: Access(Tokens(controller.store), controller.settings.http))
+    app.state.access = cache(lambda: Access(controller.tokens, controller.settings.http))
     problems.install(app, MAX_BODY_BYTES)
     app.add_middleware(Gate, access=app.state.access)
     app.add_middleware(SecurityHeaders)

@@ -1,9 +1,9 @@
 // What the service says as it happens, and whether it still says anything.
 //
-// The service sends at least four events a second. Silence for longer than SILENT_MS is shown as STALE, whatever the
+// The service sends at least five events a second. Silence for longer than SILENT_MS is shown as STALE, whatever the
 // last words were: the page must not look good because nothing contradicts it.
 
-const SILENT_MS = 800;
+export const SILENT_MS = 600;
 const KINDS = ["status", "progress", "state", "condition", "lease", "samples", "discrepancy", "heartbeat"];
 
 class Live extends EventTarget {
@@ -14,7 +14,8 @@ class Live extends EventTarget {
     this.source = null;
     this.samples = [];
     this.log = [];
-    setInterval(() => this.watch(), 100);
+    this.wasStale = null;
+    setInterval(() => this.watch(), 50);
   }
 
   start() {
@@ -46,7 +47,7 @@ class Live extends EventTarget {
       if (this.samples.length > 300) this.samples.shift();
     }
     this.dispatchEvent(new CustomEvent(kind, { detail: data }));
-    this.dispatchEvent(new Event("change"));
+    if (kind !== "samples") this.dispatchEvent(new Event("change"));
   }
 
   note(utc, what, why) {
@@ -67,6 +68,9 @@ class Live extends EventTarget {
   }
 
   watch() {
+    const stale = this.stale;
+    if (stale === this.wasStale) return;
+    this.wasStale = stale;
     this.dispatchEvent(new Event("change"));
   }
 }

@@ -4,7 +4,7 @@ import { get, lease, may } from "./api.js";
 import { abortRun, acknowledgeCondition, acknowledgeFault, giveCommand, startRun, takeCommand } from "./commands.js";
 import { card, duration, figures, fill, h, refill, said, table, utc } from "./dom.js";
 import { conditionWords, i18n, stateName, t } from "./i18n.js";
-import { live } from "./live.js";
+import { live, SILENT_MS } from "./live.js";
 import { colour, draw } from "./plots.js";
 
 const MG = 9.80665e-3;
@@ -251,7 +251,7 @@ function measured(one) {
 
 function paintLine(place, status, line, stale) {
   const counts = line ? Object.entries(line.counters).filter(([, count]) => count > 0) : [];
-  const age = live.silentMs > 800 ? `${t("silent_for", { s: (live.silentMs / 1000).toFixed(1) })}` : status.age_s === null ? "–" : `\u2066${status.age_s.toFixed(2)} s\u2069`;
+  const age = live.silentMs > SILENT_MS ? `${t("silent_for", { s: (live.silentMs / 1000).toFixed(1) })}` : status.age_s === null ? "–" : `\u2066${status.age_s.toFixed(2)} s\u2069`;
   refill(place, [status.link, age, counts, stale, i18n.language], () => [
     h(
       "dl",

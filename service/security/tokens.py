@@ -10,19 +10,22 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Literal
 
+import structlog
 from argon2 import PasswordHasher
 from argon2.exceptions import VerificationError
+from sqlalchemy.exc import DatabaseError
 
 from service.security.roles import Role
 from service.store import Store, TokenRecord, utc_now
 
 PREFIX = "inertrim"
-RELOAD_S = 2.0
-"""Real seconds after which a token that another process made or revoked is known here."""
+RELOAD_S = 1.0
+"""Real seconds between looks at the store, by which tokens that another process makes or revokes are known here."""
 REMEMBER_S = 60.0
 """Real seconds for which a checked token is known by its SHA-256."""
 REMEMBER_MAX = 1_000
 
+log = structlog.get_logger()
 _hasher = PasswordHasher()
 
 
@@ -54,14 +57,30 @@ def active(record: TokenRecord) -> bool:
 
 
 class Tokens:
-    """The tokens of one store. Safe to call from any thread."""
+    """The tokens of one store. Safe to call from any thread.
+
+    Once started, a thread of its own looks at the store, so that no request ever waits for it; a store that fails
+    meanwhile leaves what was known last.
+    """
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._lock = threading.Lock()
-        self._active: dict[str, TokenRecord] = {}
-        self._loaded_s = -RELOAD_S
+        self._active: dict[str, TokenRecord] | None = None
         self._known: dict[bytes, tuple[str, float]] = {}
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="tokens", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._load()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(10.0)
 
     def exist(self) -> bool:
         """Whether any token is valid now."""
@@ -97,11 +116,19 @@ class Tokens:
         return _principal(record)
 
     def _records(self) -> dict[str, TokenRecord]:
-        if time.monotonic() - self._loaded_s > RELOAD_S:
-            with self._lock:
-                self._active = {record.id: record for record in self._store.tokens() if active(record)}
-                self._loaded_s = time.monotonic()
-        return self._active
+        known = self._active
+        return self._load() if known is None else known
+
+    def _load(self) -> dict[str, TokenRecord]:
+        self._active = found = {record.id: record for record in self._store.tokens() if active(record)}
+        return found
+
+    def _look(self) -> None:
+        while not self._stopping.wait(RELOAD_S):
+            try:
+                self._load()
+            except DatabaseError as error:
+                log.error("tokens", error=str(error.orig))
 
 
 def _principal(record: TokenRecord) -> Principal:
