@@ -345,7 +345,7 @@ def _noise_document(search: Search) -> dict[str, Any]:
     for slot in search.evidence.slots:
         power, basis = search.fit.noise[slot].power, search.evidence.basis[slot]
         white = math.sqrt(float(np.median(power[len(power) // 2 :])) * basis.interval_s)
-        level = ("stated", "white", "coloured")[search.fit.noise[slot].level]
+        level = ("stated", "white", "flicker", "coloured")[search.fit.noise[slot].level]
         document[f"{slot[0]}:{CHANNELS[slot[1]]}"] = {"white": white, "level": level}
     return document
 

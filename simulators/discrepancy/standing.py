@@ -63,7 +63,8 @@ def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
     lengths = last - first
     step, noise = _step(increment), _noise(off)
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
-    fast = min(noise, 1.4826 * float(np.median(np.abs(np.diff(off)))) / math.sqrt(2.0) or noise)
+    changes = np.sort(np.abs(np.diff(off)))
+    fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     longest = max(_longest_by_rounding(fast / step, same.size), _longest_by_custom(lengths, same.size))
     found = []
     for a, b in zip(first, last, strict=True):

@@ -23,8 +23,8 @@ _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
 _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
-STATED, WHITE, WIDE = range(3)
-"""Levels of the noise family: as the model states; white and quantisation free; all free."""
+STATED, WHITE, FLICKER, WIDE = range(4)
+"""Levels of the noise family: as the model states; white and quantisation free; flicker as well; all free."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def cosine_basis(n: int, interval_s: float) -> Basis:
     middle = np.maximum(0.5 * (bounds[:-1] + bounds[1:] - 1), _MEAN)
     x = 0.5 * math.pi * middle / n
     sine2 = np.sin(x) ** 2
-    columns = [np.ones_like(x), 4.0 * (sine2 + 1.0 / n), (1.0 - 2.0 / 3.0 * sine2) / (4.0 * sine2)]
-    names = ["white", "quantisation", "random_walk"]
+    columns = [np.ones_like(x), 4.0 * (sine2 + 1.0 / n), 0.5 / x, (1.0 - 2.0 / 3.0 * sine2) / (4.0 * sine2)]
+    names = ["white", "quantisation", "flicker", "random_walk"]
     correlation = 2.0
     while correlation < n / 8:
         decay = math.exp(-1.0 / correlation)
@@ -96,9 +96,9 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 8.0)
+PENALTY = (0.0, 3.0, 6.0, 8.0)
 """What each level costs [nats] where the model states its noise; where its size is free, STATED does not exist."""
-PENALTY_FREE = (math.inf, 0.0, 9.0)
+PENALTY_FREE = (math.inf, 0.0, 3.0, 6.0)
 
 
 def fit_noise(
@@ -116,7 +116,7 @@ def fit_noise(
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
     start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
-    for level, terms in ((WHITE, 2), (WIDE, len(start)))[: 2 if slow else 1]:
+    for level, terms in ((WHITE, 2), (FLICKER, 3), (WIDE, len(start)))[: 3 if slow else 1]:
         variances = np.zeros(len(start))
         variances[:terms] = start[0] / np.maximum(np.median(basis.power[:, :terms], axis=0), 1e-300)
         variances[1:] *= 0.1

@@ -20,11 +20,7 @@ def in_words(document: dict[str, Any]) -> str:
         sentences.append("Model and measurement agree: what is left is noise, and nothing needs a name.")
     for finding in findings:
         sentences.append(_finding(finding))
-    for term in document["remaining"]["empirical"]:
-        sentences.append(
-            f"On {term['channel']} there is structure that no effect in the library explains ({term['term']}); "
-            "it is marked as empirical, for an engineer to name."
-        )
+    sentences += _unnamed(document["remaining"]["empirical"])
     for term in document["remaining"]["misfits"]:
         sentences.append(f"The {term['of'].replace('_', ' ')} fits to a few per cent only ({term['term']} is left).")
     for reference in document["reference"]:
@@ -47,6 +43,18 @@ def in_words(document: dict[str, Any]) -> str:
             f"{best['expected_nats']:.0f} nats of evidence are to be expected."
         )
     return " ".join(sentences)
+
+
+def _unnamed(terms: list[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each kind of structure, with all its channels."""
+    channels: dict[str, list[str]] = {}
+    for term in terms:
+        channels.setdefault(term["term"], []).append(term["channel"])
+    return [
+        f"On {' and '.join(', '.join(on).rsplit(', ', 1))} there is structure that no effect in the library explains "
+        f"({what}); it is marked as empirical, for an engineer to name."
+        for what, on in channels.items()
+    ]
 
 
 def _finding(finding: dict[str, Any]) -> str:
