@@ -19,8 +19,8 @@ def main(model: str, out: str, *recordings: str) -> int:
     from inertial.documents import DocumentError
     from simulators.discrepancy.report import discrepancy
     from simulators.effects.base import EffectError
+    from simulators.errors import ScenarioError
     from simulators.model_store import load_model
-    from simulators.scenarios import ScenarioError
 
     try:
         believed = load_model(Path(model))
