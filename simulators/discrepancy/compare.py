@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
+_ROUNDS = 3
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
 
@@ -155,10 +156,12 @@ def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SA
     )
     predicted = _readings(model, seen)
     measured = data.rate.copy()
-    shaken = _shaken(setup, seen, measured - predicted)
-    if shaken is not None:
-        seen = replace(seen, accel_mps2=accel + shaken)
-        predicted = _readings(model, seen)
+    shaken = np.zeros_like(accel)
+    if np.any(seen.vibration_mps2_squared):
+        for _ in range(_ROUNDS):  # what a reading says of its input depends on the model's scale, so again
+            shaken += _shaken(setup, seen, measured - predicted)
+            seen = replace(seen, accel_mps2=accel + shaken)
+            predicted = _readings(model, seen)
     group = -(-len(interval) // most_samples)
     return Scene(
         recording,
@@ -167,7 +170,7 @@ def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SA
         seen,
         predicted,
         measured,
-        np.zeros_like(accel) if shaken is None else shaken,
+        shaken,
         model,
         group,
     )
@@ -187,10 +190,8 @@ def _levelled(setup: Setup, data: Repaired) -> Setup:
     return replace(setup, C_tb=np.array([forward, np.cross(up, forward), up]))
 
 
-def _shaken(setup: Setup, seen: Circumstances, residual: Array) -> Array | None:
-    """Return the vibration (n, 3) [m/s²] as the accelerometers saw it along its axis, its slow part left out."""
-    if not np.any(seen.vibration_mps2_squared):
-        return None
+def _shaken(setup: Setup, seen: Circumstances, residual: Array) -> Array:
+    """Return the vibration (n, 3) [m/s²] as the accelerometers saw it along its axis, its mean left out."""
     shaken = np.zeros((len(residual), 3))
     for motion in setup.motions:
         if not isinstance(motion, Vibration):
