@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 import httpx
 import tomli_w
@@ -150,10 +150,22 @@ class Console:
         self.controller.stop()
 
 
+class Configured(Protocol):
+    """A folder with settings in it."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the service writes."""
+
+    @property
+    def config(self) -> Path:
+        """Its settings."""
+
+
 class ServiceProcess:
     """The service as it is installed: a process with an HTTP port."""
 
-    def __init__(self, bench: Bench, port: int) -> None:
+    def __init__(self, bench: Configured, port: int) -> None:
         self._log = (bench.folder / "service.log").open("ab")
         command = [sys.executable, "-m", "service.cli", "serve", "--config", str(bench.config), "--port", str(port)]
         self.process = subprocess.Popen(command, stderr=self._log, stdout=self._log, preexec_fn=_die_with_parent)

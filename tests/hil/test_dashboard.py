@@ -7,6 +7,7 @@ import re
 import signal
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -193,8 +194,24 @@ def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:
     seen.context.close()
 
 
-def test_with_tokens_the_page_asks_for_one_and_commands_as_whom_it_stands_for(browser: Browser, bench: Bench) -> None:
-    store = Store(bench.folder / "inertrim.db")
+@dataclass(frozen=True)
+class NoBlock:
+    """A service whose line leads nowhere: enough to command, and quickly there."""
+
+    folder: Path
+
+    @property
+    def config(self) -> Path:
+        return self.folder / "settings.toml"
+
+    def configure(self) -> None:
+        self.config.write_text('[link]\nurl = "none"\n[site]\nlatitude_deg = 35.7\n[store]\npath = "inertrim.db"\n')
+
+
+def test_with_tokens_the_page_asks_for_one_and_commands_as_whom_it_stands_for(browser: Browser, tmp_path: Path) -> None:
+    bench = NoBlock(tmp_path)
+    bench.configure()
+    store = Store(tmp_path / "inertrim.db")
     text, record = make_token("Grace", Role.OPERATOR)
     store.add_token(record)
     store.close()
