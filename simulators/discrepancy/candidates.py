@@ -25,7 +25,7 @@ from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Occasion, SampleEffect, Stage
 from simulators.effects.size_effect import SizeEffect
 from simulators.effects.thermal_lag import ThermalLag
-from simulators.motion import Setup, Turn
+from simulators.motion import Setup, Turn, Vibration
 
 Array = NDArray[np.float64]
 Slot = tuple[int, int]
@@ -396,6 +396,8 @@ class Library:
             sigma = motion.angle_sigma_deg if isinstance(motion, TurnMeta) else None
             if sigma and one.angle is not None:
                 self.nuisance.append((self._keep(one.angle), sigma * degree))
+        for change, spread in _lost_vibration(scene):
+            self._always(index, change, spread)
 
     def _always(self, index: int, change: Array, sigma: float) -> None:
         column = self.add_column([((index, c), change[:, c]) for c in range(6)])
@@ -468,6 +470,25 @@ def _tilted(scene: Scene, axis: int, rides: float) -> Array:
     values[f"tilt_{axis + 1}"] = TILT_RAD
     setup = get_effect("level_error").arrange(scene.setup, Occasion("all", values, 1.0))
     return (scene.predict(setup) - scene.predicted) / TILT_RAD
+
+
+def _lost_vibration(scene: Scene) -> list[tuple[Array, float]]:
+    """Return what the samples lost under each vibration may have held: its mean (n, 6), along its axis, and its σ.
+
+    A vibration ends where it began, so over all its samples its mean is nothing; of m lost out of n it is rms·√m/n.
+    """
+    found = []
+    for motion in scene.setup.motions:
+        if not isinstance(motion, Vibration):
+            continue
+        rows = (scene.time_s > motion.start_s) & (scene.time_s <= motion.end_s + scene.seen.interval_s)
+        lost = int(scene.data.missing[rows, :3].any(axis=1).sum())
+        if lost:
+            change = np.zeros((scene.time_s.size, 6))
+            change[rows, :3] = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
+            rms = float(np.sqrt(np.mean(np.sum(scene.shaken[rows] ** 2, axis=1))))
+            found.append((change, rms * math.sqrt(lost) / int(rows.sum())))
+    return found
 
 
 def setup_difference(scene: Scene, effect: str, channel: str, size: float) -> Array:
