@@ -13,9 +13,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 MEDIA_TYPE = "text/event-stream"
-DOCUMENTED: dict[int | str, dict[str, Any]] = {
-    200: {"description": "Server-sent events", "content": {MEDIA_TYPE: {"schema": {"type": "string"}}}}
-}
+DOCUMENTED: dict[int | str, dict[str, Any]] = {200: {"description": "Server-sent events", "content": {MEDIA_TYPE: {}}}}
 HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 
