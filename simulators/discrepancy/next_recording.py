@@ -99,17 +99,23 @@ PLANS = (
 )
 
 
-def propose(evidence: Evidence, fit: Fit, leader: Hypothesis, rivals: Sequence[Hypothesis]) -> list[Proposal]:
-    """Return the recordings, the most telling between a leader and its nearest rivals first."""
+Question = tuple[Hypothesis, Sequence[Hypothesis]]
+"""A leader and its nearest rivals."""
+
+
+def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list[list[Proposal]]:
+    """Return for each question the recordings, the most telling between leader and rivals first."""
     scene = evidence.library.scenes[0]
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
-    amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
-    about = f"{leader.effect} on {leader.channel}"
-    proposals = []
-    for plan in PLANS:
-        nats = _expected(_imagined(scene, model, plan), leader, amplitude, rivals)
-        proposals.append(Proposal(plan.name, plan.text, about, nats))
-    return sorted(proposals, key=lambda p: -p.expected_nats)
+    names = {h.name for leader, rivals in questions for h in (leader, *rivals)}
+    answers: list[list[Proposal]] = [[] for _ in questions]
+    for plan in PLANS if questions else ():
+        imagined = Evidence(Library([_imagined(scene, model, plan)], only=names))
+        for answer, (leader, rivals) in zip(answers, questions, strict=True):
+            amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
+            nats = _expected(imagined, leader, amplitude, rivals)
+            answer.append(Proposal(plan.name, plan.text, f"{leader.effect} on {leader.channel}", nats))
+    return [sorted(answer, key=lambda p: -p.expected_nats) for answer in answers]
 
 
 def propose_longer(evidence: Evidence, term: str, channel: str, nats: float) -> Proposal:
@@ -193,10 +199,8 @@ def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
     return replace(imagined, measured=imagined.predicted.copy())
 
 
-def _expected(scene: Scene, leader: Hypothesis, amplitude: Array, rivals: Sequence[Hypothesis]) -> float:
-    names = {leader.name, *(r.name for r in rivals)}
-    library = Library([scene], only=names)
-    evidence = Evidence(library)
+def _expected(evidence: Evidence, leader: Hypothesis, amplitude: Array, rivals: Sequence[Hypothesis]) -> float:
+    library = evidence.library
     own = [h for h in library.hypotheses if h.name == leader.name]
     if not own:
         return 0.0

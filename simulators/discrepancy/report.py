@@ -157,9 +157,7 @@ def _report(
         "inputs": _inputs(recordings),
         "next_recording": [],
     }
-    document["next_recording"] = _next(search, named, unexplained)
-    for finding in document["findings"]:
-        finding["next_recording"] = document["next_recording"][:1]
+    document["next_recording"] = _next(search, named, findings, unexplained)
     document["text"] = in_words(document)
     return Report(document, child, tuple(scenes), search)
 
@@ -350,24 +348,34 @@ def _noise_document(search: Search) -> dict[str, Any]:
     return document
 
 
-def _next(search: Search, named: Sequence[Adopted], unexplained: Unexplained) -> list[dict[str, Any]]:
-    """Return proposals for what has no name, else for the finding that is least certain, else for what may hide."""
+def _next(
+    search: Search, named: Sequence[Adopted], findings: Sequence[dict[str, Any]], unexplained: Unexplained
+) -> list[dict[str, Any]]:
+    """Return proposals for what has no name, else for the least certain finding, else for what may hide unseen.
+
+    Each finding gets its own best one as well.
+    """
     evidence, fit = search.evidence, search.fit
-    curves = [a for a in search.of_kind(Kind.EMPIRICAL) if a in unexplained.curves]
+    curves = [a for a in search.of_kind(Kind.EMPIRICAL) if any(a is other for other in unexplained.curves)]
+    asked = [*named, *curves]
+    questions = [
+        (a.hypothesis, [s.hypothesis for s in (a.ties or a.rivals[:2]) if s.hypothesis.kind is Kind.NAMED])
+        for a in asked
+    ]
+    answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]
+    by_name = {a.hypothesis.name: answer for a, answer in zip(asked, answers, strict=True)}
+    for finding in findings:
+        name = finding["effect"], finding["channel"]
+        longer = propose_longer(evidence, finding["effect"], finding["channel"], finding["evidence_nats"])
+        finding["next_recording"] = by_name.get(name, [asdict(longer)])[:1]
     if curves:
-        worst = max(curves, key=lambda a: a.score)
-        rivals = [s.hypothesis for s in worst.rivals if s.hypothesis.kind is Kind.NAMED][:2]
-        proposals = propose(evidence, fit, worst.hypothesis, rivals)
-    elif unexplained.terms:
+        return by_name[max(curves, key=lambda a: a.score).hypothesis.name]
+    if unexplained.terms:
         term = unexplained.terms[0]
-        proposals = [propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"]))]
-    elif named:
-        doubtful = min(named, key=lambda a: (not a.ties, a.score))
-        rivals = [s.hypothesis for s in (doubtful.ties or doubtful.rivals[:2]) if s.hypothesis.kind is Kind.NAMED]
-        proposals = propose(evidence, fit, doubtful.hypothesis, rivals)
-    else:
-        proposals = propose_unseen(evidence, fit)
-    return [asdict(proposal) for proposal in proposals]
+        return [asdict(propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"])))]
+    if named:
+        return by_name[min(named, key=lambda a: (not a.ties, a.score)).hypothesis.name]
+    return [asdict(proposal) for proposal in propose_unseen(evidence, fit)]
 
 
 def _entries(findings: list[dict[str, Any]], model: BlockModel, recordings: Sequence[Recording]) -> list[EffectEntry]:
