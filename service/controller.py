@@ -119,7 +119,9 @@ class Controller:
         self._stopping = threading.Event()
         self._recorder = threading.Thread(target=self._record, name="recorder", daemon=True)
         self.line = Line(settings.link, self.timebase) if settings.link.url is not None else None
-        self._worker = Worker(settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted)
+        self._worker = Worker(
+            settings, self.store, self.line, self._on_reply, self._sequencer.is_wanted, self._standing_conditions
+        )
         self._acquisition = Acquisition(self.line, self._on_batch, self._on_idle, self._on_tick, beat)
         self._gatherer = Gatherer(settings, self.line)
         self._board = Board(utc_now)
@@ -226,6 +228,12 @@ class Controller:
         status = self.status().facts
         with self._lock:
             return {"fit": status["fit"], "reasons": status["reasons"], "conditions": self._board.listing()}
+
+    def _standing_conditions(self) -> list[dict[str, Any]]:
+        """Return what of the conditions a result is kept with: how each stood, by which measure."""
+        kept = ("name", "severity", "state", "measured", "limit", "unit", "text", "acknowledgement")
+        with self._lock:
+            return [{key: one[key] for key in kept} for one in self._board.listing()]
 
     # ------------------------------------------------------------------ commands
 

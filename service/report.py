@@ -68,7 +68,8 @@ def render(result: Result) -> str:
         _section("Covariance of the terms", _covariance(result)),
         _section("Correlation of the terms", _correlation(result)),
         _section("Noise of the block", _noise(result)),
-        _section("Block and conditions", _facts({**result.block, **result.conditions})),
+        _section("Go / no-go when it was concluded", _go_no_go(result)),
+        _section("Block and circumstances", _facts({**result.block, **_circumstances(result)})),
         _section("Inputs", _inputs(result)),
         _section("Signatures", _signatures(result)),
     ]
@@ -298,6 +299,21 @@ def _noise(result: Result) -> str:
 def _inputs(result: Result) -> str:
     rows = [[name, f"<code>{escape(digest)}</code>"] for name, digest in sorted(result.inputs.items())]
     return _table(["file", "SHA-256"], rows, raw_from=1)
+
+
+def _circumstances(result: Result) -> dict[str, Any]:
+    return {name: value for name, value in result.conditions.items() if name != "go_no_go"}
+
+
+def _go_no_go(result: Result) -> str:
+    """List the conditions as they stood; a result that was made from a recording afterwards has none."""
+    rows = []
+    for one in result.conditions.get("go_no_go", []):
+        note = one["acknowledgement"]
+        by = f"{one['state']}, by {note['by']}: {note['reason']}" if note is not None else one["state"]
+        rows.append([one["name"].replace("_", " "), one["severity"], by, one["text"]])
+    head = ["condition", "severity", "state", "measured"]
+    return _table(head, rows, text=True) if rows else "<p>Not judged: made from a recording.</p>"
 
 
 def _signatures(result: Result) -> str:

@@ -54,6 +54,8 @@ class Worker:
         Called from this thread with what became of each order.
     is_wanted
         Whether anybody still waits for orders of a token; the others are passed over.
+    conditions
+        The go / no-go conditions now, which a result is kept with.
     """
 
     def __init__(
@@ -63,9 +65,10 @@ class Worker:
         line: Line | None,
         reply: Callable[[Reply], None],
         is_wanted: Callable[[int], bool],
+        conditions: Callable[[], list[dict[str, Any]]],
     ) -> None:
         self._settings, self._store, self._line, self._reply = settings, store, line, reply
-        self._is_wanted = is_wanted
+        self._is_wanted, self._conditions = is_wanted, conditions
         self._orders: queue.SimpleQueue[Order | Callable[[], None] | None] = queue.SimpleQueue()
         self._plans: dict[str, RunPlan] = {}
         self._run_id: str | None = None
@@ -178,6 +181,7 @@ class Worker:
                 "verdict": order.result.verdict if fit else "not fit",
                 "reasons": reasons,
                 "block": {**order.result.block, **self._facts},
+                "conditions": {**order.result.conditions, "go_no_go": self._conditions()},
             }
         )
         document = result.canonical_json()

@@ -171,7 +171,9 @@ def _shows_the_pages(page: Page, service: ServiceProcess, pictures: Path) -> Non
         expect(page.locator("main")).to_contain_text(words)
         page.screenshot(path=pictures / f"page-{name.split('/')[0]}.png", full_page=True)
     page.goto(f"{base}#/run/{run_id}")
-    expect(page.frame_locator("iframe").locator("h1")).to_have_text("Pre-launch trim of the inertial block")
+    report = page.frame_locator("iframe")
+    expect(report.locator("h1")).to_have_text("Pre-launch trim of the inertial block")
+    expect(report.locator("tr", has_text="disk space")).to_contain_text("ok")  # kept with the result
 
 
 def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:

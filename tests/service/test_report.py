@@ -21,7 +21,8 @@ from simulators.simulate import simulate_recording
 SECTIONS = (
     *("Identity", "Terms added to the readings", "Verification on fresh data", "Navigation error to expect at rest"),
     *("What the run could not see", "Site and reference", "Alignment", "Time used", "Covariance of the terms"),
-    *("Correlation of the terms", "Noise of the block", "Block and conditions", "Inputs", "Signatures"),
+    *("Correlation of the terms", "Noise of the block", "Go / no-go when it was concluded"),
+    *("Block and circumstances", "Inputs", "Signatures"),
 )
 
 
