@@ -529,7 +529,10 @@ class Sequencer:
     def _too_many_lost(self, step: Name, end_s: float) -> bool:
         used = self.buffer.span(self._window_start_s, end_s)
         if len(used) < 2:
-            return False
+            if self._last_s < end_s:
+                return False  # it has only begun
+            self._hold("frames_lost", "no frame of the window came")  # a gap has swallowed all of it
+            return True
         lost = frames_lost(used)
         per_s = (len(used) + lost) / (used["time"][-1] - used["time"][0])
         expected = max(per_s * self._window_length_s(step), 1.0)
