@@ -225,6 +225,16 @@ def test_frames_lost_beyond_the_share_hold_and_fewer_do_not() -> None:
     bench.until(Name.READY)
 
 
+def test_a_gap_that_swallows_a_whole_window_holds() -> None:
+    bench = Bench().at(Name.STAGE_1)
+    bench.lose = 1.0
+    bench.run(200)
+    bench.lose = 0.0
+    bench.until(Name.HOLD)
+    assert last(bench)[1:] == ("HOLD", "frames_lost")
+    bench.until(Name.READY)
+
+
 def test_a_hold_has_an_end() -> None:
     bench = Bench(hold_max_s=60.0).at(Name.STAGE_2)
     bench.judge.still = False
