@@ -174,6 +174,7 @@ def _shows_the_pages(page: Page, service: ServiceProcess, pictures: Path) -> Non
     report = page.frame_locator("iframe")
     expect(report.locator("h1")).to_have_text("Pre-launch trim of the inertial block")
     expect(report.locator("tr", has_text="disk space")).to_contain_text("ok")  # kept with the result
+    page.screenshot(path=pictures / "page-report.png")
 
 
 def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:
@@ -190,10 +191,18 @@ def _is_accessible(browser: Browser, address: str, pictures: Path) -> None:
         page.wait_for_selector("figure:nth-of-type(7) .plot svg")
         assert page.evaluate("document.documentElement.dir") == {"en": "ltr", "fa": "rtl"}[language]
         page.screenshot(path=pictures / f"live-{size}-{theme}-{language}.png", full_page=True)
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (language, theme, size)
-        found = Axe().run(page, options=AXE_RULES).response["violations"]
-        assert not found, json.dumps([(one["id"], [n["html"] for n in one["nodes"]][:3]) for one in found])
+        _is_clean(page)
+    for name in ("runs", "compare", "library", "discrepancies", "ageing"):
+        page.goto(f"{address}#/{name}")
+        page.wait_for_selector("main h1")
+        _is_clean(page)
     seen.context.close()
+
+
+def _is_clean(page: Page) -> None:
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), page.url
+    found = Axe().run(page, options=AXE_RULES).response["violations"]
+    assert not found, json.dumps([(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in found])
 
 
 @dataclass(frozen=True)
