@@ -107,9 +107,10 @@ class StreamDecoder:
         samples["time"] = samples["sequence"] / 2000
         with suppress(ProtocolError):  # it cannot send, and so gives no samples either
             data = np.frombuffer(self._protocol.encode_samples(samples), np.uint8)
-            trial = StreamDecoder(self._protocol)
-            trial.feed_stretch(data, np.array([len(data)]), np.zeros(1))
-            trial.take()
+            for kind in (data, data.copy()):  # read-only bytes and others are two types to the compiler
+                trial = StreamDecoder(self._protocol)
+                trial.feed_stretch(kind, np.array([len(kind)]), np.zeros(1))
+                trial.take()
 
     def feed_stretch(self, data: NDArray[np.uint8], ends: NDArray[np.int64], times_s: NDArray[np.float64]) -> None:
         """Take many chunks at once, which end at ``ends`` in ``data`` and came at ``times_s`` [simulated s]."""

@@ -98,10 +98,12 @@ def test_an_operator_sees_a_whole_run_and_never_old_data_as_good(
         _start_with_keys(page)
         for verdict in ("busy", "good"):
             page.wait_for_selector(f".verdict[data-verdict={verdict}]")
+            if verdict == "good":
+                board = page.locator("main").inner_text()  # all at once: at this speed a busy host may hold it any time
+                assert re.search(r"\bFIT\b", board)
+                assert "verified: navigation at rest" in board
+                assert "READY" in page.locator(".path li[aria-current=step]").inner_text()
             page.screenshot(path=pictures / f"run-{verdict}.png", full_page=True)
-        expect(page.locator(".verdict .word")).to_have_text("FIT")
-        expect(page.locator(".verdict")).to_contain_text("verified: navigation at rest")
-        expect(page.locator(".path li[aria-current=step]")).to_contain_text("READY")
         _shows_what_was_found(page, service)
         _shows_the_pages(page, service, pictures)
         page.goto("about:blank")
