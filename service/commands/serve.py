@@ -30,7 +30,6 @@ def serve(
     Without configuration it starts OFFLINE on loopback with its store in ./inertrim.db.
     """
     from service.config import load_settings
-    from service.main import run_service
 
     settings = load_settings(
         config,
@@ -38,4 +37,6 @@ def serve(
         http={"host": host, "port": port},
         time={"speed": speed, "epoch_s": epoch},
     )
+    from service.main import run_service  # takes seconds to load: settings that cannot be used are refused before
+
     run_service(settings)

@@ -24,8 +24,8 @@ from simulators.simulate import write_calibration
 
 SPEED = 10.0
 RATE_HZ = 50.0
-STALE_S = 5.0
-"""At that speed and rate a pseudo-terminal holds 0.6 real seconds of frames, and the line counts as stale after 0.5:
+STALE_S = 12.0
+"""At that speed and rate a pseudo-terminal holds 0.6 real seconds of frames, and the line counts as stale after 1.2:
 what is tested is the service, not whether a busy machine gives it a turn ten times a second."""
 SEED = 1
 WINDOWS = {"align_s": 10.0, "stage_s": 20.0, "verify_s": 20.0, "settling_window_s": 12.0}

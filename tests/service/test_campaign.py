@@ -187,6 +187,7 @@ sys.stdout.buffer.write(run_chunk({text!r}, 0, {trials}))
     return pa.ipc.open_stream(done.stdout).read_all()
 
 
+@pytest.mark.long
 def test_neither_a_killed_worker_nor_a_killed_run_changes_a_bit(tmp_path: Path) -> None:
     spec, out = spec_at(tmp_path, GRID), tmp_path / "out.parquet"
     parts = out.with_name("out.parquet.parts")

@@ -26,20 +26,18 @@ MG_MPS2 = 9.80665e-3
 Facts = dict[str, Any]
 
 
-@pytest.fixture(scope="module")
-def facts(tmp_path_factory: pytest.TempPathFactory) -> Facts:
-    """What one demo on defaults says of itself."""
-    folder = tmp_path_factory.mktemp("demo")
-    done = subprocess.run(
+def test_a_demo_on_defaults(tmp_path: Path) -> None:
+    """One demo, judged in all it says: run once, since it takes a minute."""
+        done = subprocess.run(
         [
             sys.executable,
             "-m",
             "service.cli",
             "demo",
             "--out",
-            str(folder / "out"),
+            str(tmp_path / "out"),
             "--json",
-            str(folder / "demo.json"),
+            str(tmp_path / "demo.json"),
         ],
         capture_output=True,
         text=True,
@@ -48,31 +46,32 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> Facts:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "READY" in done.stdout
-    found: Facts = json.loads((folder / "demo.json").read_text())
-    return found
+    facts: Facts = json.loads((tmp_path / "demo.json").read_text())
+    for judge in (ends_ready_at_twenty_times_real_time, finds_what_was_planted, improves_navigation, leaves_what_it_names):
+        judge(facts)
 
 
-def test_demo_ends_ready_at_twenty_times_real_time(facts: Facts) -> None:
+def ends_ready_at_twenty_times_real_time(facts: Facts) -> None:
     assert facts["state"] == "READY"
     assert facts["verdict"] == "shift compensated"
     assert facts["time"]["speed"] >= 20
 
 
-def test_demo_finds_what_was_planted(facts: Facts) -> None:
+def finds_what_was_planted(facts: Facts) -> None:
     assert [abs(value) for value in facts["planted"]["g_radps"]] == pytest.approx([2.4 * DEG_H_RADPS] * 3)
     assert [abs(value) for value in facts["planted"]["f_mps2"]] == pytest.approx([0.3 * MG_MPS2] * 3)
     assert set(facts["terms"]) == {"stage_1", "stage_2", "stage_3", "final"}
     assert max(facts["distance_sigma"][2:]) < 3  # vertical accelerometer and gyros
 
 
-def test_demo_improves_navigation(facts: Facts) -> None:
+def improves_navigation(facts: Facts) -> None:
     for trial in ("rest", "turn"):
         error = facts["radial_error_m"][trial]
         assert facts["improvement"][trial] == pytest.approx(error["without"] / error["with"])
         assert facts["improvement"][trial] > 3
 
 
-def test_demo_leaves_what_it_names(facts: Facts) -> None:
+def leaves_what_it_names(facts: Facts) -> None:
     assert facts["replay_identical"]
     result = parse_document(Result, Path(facts["paths"]["result"]).read_bytes(), "result.json")
     assert result.fit
