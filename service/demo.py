@@ -82,7 +82,7 @@ class Console:
         answer = self._ask("POST", "/api/v1/runs", {"method": method, "operator": "demo"})
         return str(answer.json()["run_id"])
 
-    def follow(self, show: Show, limit_s: float) -> dict[str, Any]:
+    def follow(self, run_id: str, show: Show, limit_s: float) -> dict[str, Any]:
         """Show every status until the run has ended; return the last one."""
         end = time.monotonic() + limit_s
         while time.monotonic() < end:
@@ -91,15 +91,14 @@ class Console:
             show(status)
             if status["state"] in ENDED:
                 return status
-            if status["state"] == "HOLD" and (verified := self._verified()) is not None:
+            if status["state"] == "HOLD" and (verified := self._verified(run_id)) is not None:
                 return {**status, **verified}
             time.sleep(POLL_S)
         raise DemoFailed(f"the run did not end in {limit_s:.0f} s; it stands in {status['state']}: {status['reason']}")
 
-    def _verified(self) -> dict[str, Any] | None:
+    def _verified(self, run_id: str) -> dict[str, Any] | None:
         """Return what the run came to if it was READY between two looks: on a busy host that may not last."""
-        run = self.get("/api/v1/runs")["runs"][0]
-        ready = [one for one in self.get(f"/api/v1/runs/{run['run_id']}")["transitions"] if one["target"] == "READY"]
+        ready = [one for one in self.get(f"/api/v1/runs/{run_id}")["transitions"] if one["target"] == "READY"]
         return {"state": "READY", "reason": ready[0]["reason"]} if ready else None
 
     def get(self, path: str) -> Any:
@@ -169,7 +168,7 @@ def run_demo(path: Path, seed: int, speed: float, show: Show) -> dict[str, Any]:
             console.wait_for_service()
             run_id = console.start_run(DEFAULT_METHOD)
             begun_s = time.monotonic()
-            status = console.follow(show, RUN_TIMEOUT_S / speed + START_TIMEOUT_S)
+            status = console.follow(run_id, show, RUN_TIMEOUT_S / speed + START_TIMEOUT_S)
             took_s = time.monotonic() - begun_s
             if status["state"] == "READY":
                 folder.file("result.json").write_bytes(console.fetch(f"/api/v1/runs/{run_id}/result"))

@@ -2,50 +2,24 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
-from rich.progress_bar import ProgressBar
 from rich.table import Table
-from rich.text import Text
 
+from service.live_view import LiveView, path_picture
 from service.report import DEG_H_RADPS, MG_MPS2, SENSORS, STAGE_NAMES
-from service.states import PATH
-
-MARKS = {"done": ("✓", "green"), "now": ("▶", "bold cyan"), "next": ("·", "dim")}
 
 
-class DemoView:
-    """Shows statuses live on a terminal, and each change of state as a line elsewhere."""
-
-    def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console()
-        self._live = Live(console=self._console, refresh_per_second=8, transient=True)
-        self._last = ""
-
-    def __enter__(self) -> Self:
-        if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.stop()
+class DemoView(LiveView):
+    """Shows each status of the service, and what the demo found."""
 
     def show(self, status: dict[str, Any]) -> None:
         """Show one status of the service."""
-        if self._console.is_terminal:
-            self._live.update(picture(status))
-        elif status["state"] != self._last:
-            self._console.print(f"{status['state']}: {status['reason']}", markup=False, highlight=False)
-        self._last = status["state"]
+        self.update(path_picture(status), status["state"], f"{status['state']}: {status['reason']}")
 
     def conclude(self, facts: dict[str, Any]) -> None:
         """Print what the demo found."""
-        console = self._console
+        console = self.console
         if facts["state"] != "READY":
             console.print(f"[bold red]{facts['state']}[/]: {facts['reason']}; logs in {facts['paths']['logs']}")
             return
@@ -59,27 +33,6 @@ class DemoView:
         )
         for name in ("recording", "result", "report", "rest", "turn"):
             console.print(f"  {name:<9} {facts['paths'][name]}", markup=False, highlight=False, soft_wrap=True)
-
-
-def picture(status: dict[str, Any]) -> Group:
-    """Return the run's path with the step in hand and how far it is."""
-    stage = status["stage"] or status["state"]
-    names = [name.value for name in PATH]
-    at = names.index(stage) if stage in names else -1
-    path = Text()
-    for index, name in enumerate(names):
-        mark, style = MARKS["done" if index < at or name == "READY" == stage else "now" if index == at else "next"]
-        path.append(f"{mark} {name}  ", style=style)
-    held = f"  held: {status['reason']}" if status["state"] == "HOLD" else ""
-    remaining = "" if status["remaining_s"] is None else f"{status['remaining_s']:.0f} s left"
-    line = Table.grid(padding=(0, 2))
-    line.add_row(
-        Text(f"{status['state']}{held}", style="bold"),
-        ProgressBar(total=1.0, completed=status["progress"] or 0.0, width=40),
-        remaining,
-        Text(f"line {status['link']}", style="dim"),
-    )
-    return Group(path, line)
 
 
 def terms_table(facts: dict[str, Any]) -> Table:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
 from service.console.client import SILENT_S
-from service.demo_view import picture
+from service.live_view import LiveView, path_picture
 
 LIVE_LINK = "STREAMING"
 
@@ -25,39 +23,21 @@ def verdict(status: dict[str, Any], silent_s: float) -> tuple[str, str]:
     return ("✓ FIT", "bold green") if status["fit"] else ("✕ NOT FIT", "bold red")
 
 
-class ConsoleView:
-    """Shows statuses live on a terminal, and each change as a line elsewhere."""
-
-    def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console()
-        self._live = Live(console=self._console, refresh_per_second=8, transient=True)
-        self._last: tuple[str, str] = ("", "")
-
-    def __enter__(self) -> Self:
-        if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.stop()
+class ConsoleView(LiveView):
+    """Shows each status with its verdict, and how the run ended."""
 
     def show(self, status: dict[str, Any], silent_s: float) -> None:
         """Show one status, and how long ago the service last answered."""
         word, style = verdict(status, silent_s)
-        if self._console.is_terminal:
-            reasons = Text("\n".join(status["reasons"]))
-            self._live.update(Group(Panel(Text(word, style=style, justify="center")), picture(status), reasons))
-            return
-        now = (status["state"], word.split(":")[0])
-        if now != self._last:
-            self._console.print(f"{now[1]} · {now[0]}: {status['reason']}", markup=False, highlight=False)
-        self._last = now
+        board = Panel(Text(word, style=style, justify="center"))
+        mark = f"{word.split(':')[0]} · {status['state']}"
+        self.update(
+            Group(board, path_picture(status), Text("\n".join(status["reasons"]))), mark, f"{mark}: {status['reason']}"
+        )
 
     def conclude(self, status: dict[str, Any]) -> None:
         """Print how it ended."""
         word, style = verdict(status, 0.0)
-        self._console.print(Text(f"{word} · {status['state']}", style=style))
+        self.console.print(Text(f"{word} · {status['state']}", style=style))
         for reason in status["reasons"]:
-            self._console.print(f"  {reason}", markup=False, highlight=False)
+            self.console.print(f"  {reason}", markup=False, highlight=False)
