@@ -59,10 +59,12 @@ def test_power_up_and_settling_run_on_a_real_power_up(shared_data: Path, tmp_pat
         ]
         assert changes[3] == ("ALIGNING", "settled")
         assert controller.line is not None
+        # Every frame of the capture came through whole. Gaps are not asked for: where the host halts the player itself,
+        # frames come late for good, and the counter, which wraps every 0.128 s, cannot tell that from frames lost.
         while (counts := controller.line.counters())["frames"] < 8392:
             assert time.monotonic() < end, counts
             time.sleep(0.02)
-        assert (counts["gaps"], counts["crc_failures"]) == (0, 0)
+        assert (counts["frames"], counts["crc_failures"]) == (8392, 0)
     finally:
         player.join(20)
         controller.stop()

@@ -8,59 +8,24 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
 from http_bench import serving, settings_for
+from rest_bench import believed_model, write_rest
 
-from drivers.recording import RecordingMeta, write_recording
-from drivers.samples import empty_samples
-from inertial.documents import BlockModel, ChannelNoise, Noise
 from service.controller import Controller
 from simulators.model_store import load_model, save_model
 
-RATE_HZ = 10.0
-GRAVITY_MPS2 = 9.7976
 SHIFT_MPS2 = 5e-3
-WHITE = {"accel": 2e-4, "gyro": 3e-6}
 PLACE = "/api/v1/discrepancies"
-
-
-def write_rest(folder: Path, name: str) -> None:
-    """Write a minute and a half at rest with a bias on accel_z that no model knows."""
-    rng = np.random.default_rng(7)
-    n = round(90 * RATE_HZ)
-    samples = empty_samples(n)
-    samples["sequence"], samples["time"] = np.arange(n), np.arange(1, n + 1) / RATE_HZ
-    latitude, azimuth = np.radians(35.7), np.radians(40.0)
-    earth = 7.292115e-5 * np.array(
-        [np.cos(latitude) * np.cos(azimuth), np.cos(latitude) * np.sin(azimuth), np.sin(latitude)]
-    )
-    up = np.array([0.0, 0.0, GRAVITY_MPS2 + SHIFT_MPS2])
-    samples["dv"] = (up + WHITE["accel"] * np.sqrt(RATE_HZ) * rng.standard_normal((n, 3))) / RATE_HZ
-    samples["dtheta"] = (earth + WHITE["gyro"] * np.sqrt(RATE_HZ) * rng.standard_normal((n, 3))) / RATE_HZ
-    meta = {
-        "site": {"latitude_deg": 35.7, "height_m": 1200.0, "gravity_mps2": GRAVITY_MPS2},
-        "reference": {
-            "azimuth_deg": 40.0,
-            "azimuth_sigma_deg": 0.05,
-            "roll_deg": 0.0,
-            "pitch_deg": 0.0,
-            "heading_deg": 0.0,
-            "level_sigma_deg": 0.002,
-        },
-        "block": {"sample_rate_hz": RATE_HZ, "gyro_kind": "laser"},
-    }
-    write_recording(folder / name, samples, RecordingMeta.model_validate(meta))
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Controller, httpx.Client]]:
     folder = tmp_path_factory.mktemp("discrepancies")
     (folder / "recordings").mkdir()
-    write_rest(folder / "recordings", "bench")
-    write_rest(folder, "outside")
-    noise = {f"{t}_{a}": ChannelNoise(white=WHITE[t]) for t in ("accel", "gyro") for a in "xyz"}
-    save_model(BlockModel(block="B1", gyro_kind="laser", noise=Noise(**noise)), folder / "block.json")
+    for place, name in ((folder / "recordings", "bench"), (folder, "outside")):
+        write_rest(place, name, seed=7, accel_z_mps2=SHIFT_MPS2)
+    save_model(believed_model(), folder / "block.json")
     settings = settings_for(
         folder, block={"model": folder / "block.json"}, library={"recordings": folder / "recordings"}
     )

@@ -9,16 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rest_bench import believed_model, write_rest
 
-from drivers.recording import RecordingMeta, write_recording
-from drivers.samples import empty_samples
-from inertial.documents import BlockModel, ChannelNoise, EffectEntry, Noise, ParameterValue
+from inertial.documents import BlockModel, EffectEntry, Noise, ParameterValue
 from simulators.model_store import save_model
-
-RATE_HZ = 10.0
-GRAVITY_MPS2 = 9.7976
-EARTH_RADPS = 7.292115e-5
-WHITE = {"accel": 2e-4, "gyro": 3e-6}
 
 
 def inertrim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -31,32 +25,8 @@ def inertrim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute and a half at rest, its gyro_x 40 deg/h off, and the model that does not know it."""
     folder = tmp_path_factory.mktemp("bench")
-    rng = np.random.default_rng(11)
-    n = round(90 * RATE_HZ)
-    latitude, azimuth = np.radians(35.7), np.radians(40.0)
-    level = np.cos(latitude) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    earth = EARTH_RADPS * np.array([*level, np.sin(latitude)])
-    samples = empty_samples(n)
-    samples["sequence"], samples["time"] = np.arange(n), np.arange(1, n + 1) / RATE_HZ
-    noise = rng.standard_normal((n, 6)) * np.sqrt(RATE_HZ)
-    samples["dv"] = (np.array([0.0, 0.0, GRAVITY_MPS2]) + WHITE["accel"] * noise[:, :3]) / RATE_HZ
-    shift = np.array([np.radians(40.0) / 3600.0, 0.0, 0.0])
-    samples["dtheta"] = (earth + shift + WHITE["gyro"] * noise[:, 3:]) / RATE_HZ
-    meta = {
-        "site": {"latitude_deg": 35.7, "height_m": 1200.0, "gravity_mps2": GRAVITY_MPS2},
-        "reference": {
-            "azimuth_deg": 40.0,
-            "azimuth_sigma_deg": 0.05,
-            "roll_deg": 0.0,
-            "pitch_deg": 0.0,
-            "heading_deg": 0.0,
-            "level_sigma_deg": 0.002,
-        },
-        "block": {"sample_rate_hz": RATE_HZ, "gyro_kind": "laser"},
-    }
-    write_recording(folder / "rest", samples, RecordingMeta.model_validate(meta))
-    channels = {f"{t}_{a}": ChannelNoise(white=WHITE[t]) for t in ("accel", "gyro") for a in "xyz"}
-    save_model(BlockModel(block="B1", gyro_kind="laser", noise=Noise(**channels)), folder / "block.json")
+    write_rest(folder, "rest", seed=11, gyro_x_radps=np.radians(40.0) / 3600.0)
+    save_model(believed_model(), folder / "block.json")
     return folder
 
 
