@@ -181,12 +181,12 @@ class LineSimulator:
 
     def _turn(self) -> None:
         now_s = self._now_s = self._tick()
-        self._faults(now_s)
         if self._uart.plugged:
             self._device.receive(self._line.read(), now_s)
         for frame in self._device.advance(now_s):
             self._uart.send(self._noise.spoil(frame))
         self._uart.turn()
+        self._faults(now_s)  # last: what was due before a fault, also of a block that lags, is untouched by it
 
     def _tick(self) -> float:
         """Return the block's time: simulated time, or behind it for a while when the host has held this process up.

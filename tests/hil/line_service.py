@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
+import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import Any, Protocol
 
 import httpx
 import tomli_w
+from forked import Program
 
 from drivers.recording import read_recording
 from drivers.samples import SampleArray
@@ -28,8 +27,8 @@ STALE_S = 12.0
 """At that speed and rate a pseudo-terminal holds 0.6 real seconds of frames, and the line counts as stale after 1.2:
 what is tested is the service, not whether a busy machine gives it a turn ten times a second."""
 SEED = 1
-WINDOWS = {"align_s": 10.0, "stage_s": 20.0, "verify_s": 20.0, "settling_window_s": 12.0}
-"""Shorter than an operator's, so that a run takes some ten seconds."""
+WINDOWS = {"align_s": 6.0, "stage_s": 12.0, "verify_s": 10.0, "settling_window_s": 8.0}
+"""Shorter than an operator's, so that a run takes some six seconds."""
 
 
 class Bench:
@@ -58,19 +57,16 @@ class Bench:
         self.config.write_text(tomli_w.dumps(settings))
         self._simulator = self._start_simulator()
 
-    def _start_simulator(self) -> subprocess.Popen[bytes]:
+    def _start_simulator(self) -> Program:
         files = {"--pty": self.line, "--scenario": self.folder / "scenario.toml", "--model": self.folder / "block.json"}
         timing = {"--speed": self.speed, "--epoch": self.epoch_s, "--ledger": self.folder / "ledger.json"}
         arguments = [str(part) for pair in {**files, **timing}.items() for part in pair]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", "simulate", *arguments, "--control"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            preexec_fn=_die_with_parent,
-        )
-        self._say = _pipe(process.stdin)
-        events = _pipe(process.stdout)
-        assert json.loads(events.readline())["event"] == "ready"
+        (heard, said), (told, events) = os.pipe(), os.pipe()
+        process = Program("simulate", *arguments, "--control", stdin=heard, stdout=events)
+        for end in (heard, events):
+            os.close(end)
+        self._say, self._told = open(said, "wb"), open(told, "rb")  # noqa: SIM115
+        assert json.loads(self._told.readline())["event"] == "ready"
         return process
 
     def inject(self, fault: str, **facts: object) -> None:
@@ -86,6 +82,8 @@ class Bench:
         """End the simulator and return its ledger."""
         self._simulator.terminate()
         self._simulator.wait(20)
+        self._say.close()
+        self._told.close()
         ledger: dict[str, Any] = json.loads((self.folder / "ledger.json").read_text())
         return ledger
 
@@ -167,8 +165,9 @@ class ServiceProcess:
 
     def __init__(self, bench: Configured, port: int) -> None:
         self._log = (bench.folder / "service.log").open("ab")
-        command = [sys.executable, "-m", "service.cli", "serve", "--config", str(bench.config), "--port", str(port)]
-        self.process = subprocess.Popen(command, stderr=self._log, stdout=self._log, preexec_fn=_die_with_parent)
+        self.process = Program(
+            *("serve", "--config", bench.config, "--port", str(port)), stderr=self._log, stdout=self._log
+        )
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}/api/v1", timeout=10)
         end = time.monotonic() + 60
         while True:
@@ -208,13 +207,3 @@ class ServiceProcess:
         self.client.close()
         self._log.close()
         return code
-
-
-def _die_with_parent() -> None:
-    """Have the kernel end this child when the test that started it is killed (prctl PR_SET_PDEATHSIG)."""
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
-
-
-def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
-    assert pipe is not None
-    return pipe

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import Program, inertrim
 from line_service import Bench, ServiceProcess
 
 from service.processes import free_port
@@ -22,7 +23,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "console-integration.md").read_text
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
-    bench = Bench(tmp_path_factory.mktemp("console"), align_s=6.0, stage_s=12.0, verify_s=10.0)
+    bench = Bench(tmp_path_factory.mktemp("console"))
     made = ServiceProcess(bench, free_port())
     yield made
     made.terminate()
@@ -105,24 +106,20 @@ def test_a_generated_client_drives_a_whole_run(service: ServiceProcess, tmp_path
     assert (newest.run_id, newest.operator) == (accepted.run_id, "Grace")
 
 
-def test_the_console_starts_under_a_lease_and_another_takes_over_to_abort(service: ServiceProcess) -> None:
+def test_the_console_starts_under_a_lease_and_another_takes_over_to_abort(
+    service: ServiceProcess, tmp_path: Path
+) -> None:
     url = str(service.client.base_url).split("/api/")[0]
-    command = [sys.executable, "-m", "service.cli", "console"]
-    starting = subprocess.Popen(
-        [*command, "start", "--operator", "Ada", "--url", url],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    with (tmp_path / "said").open("wb") as said, (tmp_path / "complained").open("wb") as complained:
+        starting = Program("console", "start", "--operator", "Ada", "--url", url, stdout=said, stderr=complained)
     service.until("SETTLING")
-    common = ["abort", "--operator", "Grace", "--reason", "drill", "--url", url]
-    refused = subprocess.run([*command, *common], capture_output=True, text=True, timeout=60, check=False)
+    common = ["console", "abort", "--operator", "Grace", "--reason", "drill", "--url", url]
+    refused = inertrim(*common)
     assert refused.returncode == 1
     assert "Ada commands this service" in refused.stderr
-    taken = subprocess.run([*command, *common, "--take-over"], capture_output=True, text=True, timeout=60, check=False)
+    taken = inertrim(*common, "--take-over")
     assert taken.returncode == 0, taken.stderr
-    said, complained = starting.communicate(timeout=30)
-    assert starting.returncode == 1, complained
-    assert "ABORTED" in said
+    assert starting.wait(30) == 1, (tmp_path / "complained").read_text()
+    assert "ABORTED" in (tmp_path / "said").read_text()
     assert service.get("/lease")["holder"] is None
     assert "Grace" in service.get("/audit")["entries"][1]["who"]

@@ -23,7 +23,6 @@ from service.store import Store
 SIZES = {"1280": (1280, 900), "390": (390, 844)}
 COMBINATIONS = (("1280", "light", "en"), ("1280", "dark", "fa"), ("390", "light", "fa"), ("390", "dark", "en"))
 """Every two of width, light and language meet in each of their ways."""
-SHORT = {"align_s": 6.0, "stage_s": 12.0, "verify_s": 10.0}
 STALE_WITHIN_S = 1.0
 TRIES = 3
 """A busy machine only ever makes the page later: the earliest of a few tries is what the page itself needs."""
@@ -38,7 +37,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path, **SHORT)
+    made = Bench(tmp_path)
     yield made
     made.close()
 

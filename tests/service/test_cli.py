@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from forked import inertrim
 
 from drivers.capture import CaptureWriter
 from drivers.protocols.native import encode_samples
@@ -52,11 +53,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recording of 280 s, NAME ``run``, made by the command line itself."""
     folder = tmp_path_factory.mktemp("made")
-    subprocess.run(
-        [sys.executable, "-m", "service.cli", "simulate", "--out", str(folder / "run"), "--seed", str(SEED)],
-        check=True,
-        capture_output=True,
-    )
+    inertrim("simulate", "--out", folder / "run", "--seed", str(SEED)).check_returncode()
     return folder
 
 

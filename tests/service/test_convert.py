@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import threading
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import Program, inertrim
 
 from drivers.capture import CaptureWriter, RecordKind, read_capture
 from drivers.link import SerialLink
@@ -225,14 +225,15 @@ def test_capture_stores_in_compressed_parts_and_converts(run: Run, tmp_path: Pat
 
 def test_detect_names_what_is_on_the_line(tmp_path: Path) -> None:
     """Both ends in processes of their own: the simulator in a STIM300's place, and whoever wonders what that is."""
-    program, pty = [sys.executable, "-m", "service.cli"], str(tmp_path / "tty")
+    pty = tmp_path / "tty"
     options = ["--protocol", "stim300", "--option", "accel_range_g=30"]
-    device = subprocess.Popen([*program, "simulate", *options, "--pty", pty], stdout=subprocess.PIPE)
+    device = Program("simulate", *options, "--pty", pty)
     try:
-        assert device.stdout is not None
-        assert json.loads(device.stdout.readline()) == {"event": "ready"}
-        command = [*program, "detect", pty, "--json", str(tmp_path / "a.json"), "--listen", "3"]
-        assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
+        end = time.monotonic() + 60
+        while not pty.exists():
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        assert inertrim("detect", pty, "--json", tmp_path / "a.json", "--listen", "3").returncode == 0
     finally:
         device.terminate()
         device.wait(20)

@@ -110,7 +110,7 @@ def test_only_what_the_service_knows_is_read(service: tuple[Controller, httpx.Cl
 
 def test_a_job_that_a_stop_cut_short_is_interrupted_and_says_so(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
-    write_rest(tmp_path / "recordings", "bench")
+    write_rest(tmp_path / "recordings", "bench", seed=7)
     settings = settings_for(tmp_path, library={"recordings": tmp_path / "recordings"})
     with serving(settings) as (_, client):
         location = client.post(PLACE, json={"recordings": [{"name": "bench"}]}).headers["Location"]

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import inertrim
 from rest_bench import believed_model, write_rest
 
 from inertial.documents import BlockModel, EffectEntry, Noise, ParameterValue
 from simulators.model_store import save_model
-
-
-def inertrim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Call the command line as a user does."""
-    command = [sys.executable, "-m", "service.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import httpx
 import numpy as np
+from forked import Program
 from http_bench import serving, settings_for
 
 from drivers.capture import CaptureWriter
@@ -26,11 +25,9 @@ def test_every_sample_of_a_replay_reaches_the_service(tmp_path: Path) -> None:
     for row in range(0, COUNT, 5):
         writer.write(data[row * 60 : row * 60 + 300], 100.0 + float(samples["time"][row + 4]))
     writer.close()
-    speed = ["--speed", str(SPEED)]
-    command = [sys.executable, "-m", "service.cli", "replay", "line.cap", "--pty", "tty", *speed]
     link, epoch_s = {"url": str(tmp_path / "tty")}, time.monotonic()
     with serving(settings_for(tmp_path, link=link, time={"speed": SPEED, "epoch_s": epoch_s})) as (_, client):
-        player = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
+        player = Program("replay", "line.cap", "--pty", "tty", "--speed", str(SPEED), folder=tmp_path)
         try:
             end = time.monotonic() + 60
             while counted(client, "samples") < COUNT:

@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from forked import inertrim
 
 from drivers.recording import read_recording
 from inertial.documents import Result, parse_document
@@ -94,13 +95,7 @@ def test_it_prints(result: Result, tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     written.write_text(result.canonical_json())
     files = ["--out", str(tmp_path / "page.html"), "--pdf", str(tmp_path / "page.pdf")]
-    ran = subprocess.run(
-        [sys.executable, "-m", "service.cli", "report", str(written), *files],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
+    ran = inertrim("report", written, *files)
     assert ran.returncode == 0, ran.stderr
     assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF-")
 
@@ -109,14 +104,7 @@ def test_without_a_browser_the_pdf_is_refused_with_the_remedy(result: Result, tm
     written = tmp_path / "result.json"
     written.write_text(result.canonical_json())
     files = ["--out", str(tmp_path / "page.html"), "--pdf", str(tmp_path / "page.pdf")]
-    ran = subprocess.run(
-        [sys.executable, "-m", "service.cli", "report", str(written), *files],
-        env={"PATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ran = inertrim("report", written, *files, PATH=str(tmp_path))
     assert ran.returncode == 2
     assert "apt install chromium" in ran.stderr
     assert (tmp_path / "page.html").is_file()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sqlite3
 import ssl
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -19,6 +17,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
+from forked import Program, inertrim
 from http_bench import serving, settings_for
 
 from service.controller import Controller
@@ -27,11 +26,6 @@ from service.security.rate import RateLimit
 from service.security.roles import Role
 from service.security.tokens import make_token
 from service.store import Store
-
-
-def inertrim(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "service.cli", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
 
 
 def give(controller: Controller, role: Role, **more: Any) -> str:
@@ -286,9 +280,8 @@ def test_with_a_token_and_a_certificate_it_listens_for_other_machines(tmp_path: 
     (tmp_path / "inertrim.toml").write_text(
         f'[http]\nhost = "0.0.0.0"\nport = {port}\ncertificate = "{certificate.name}"\nkey = "{key.name}"\n'
     )
-    command = [sys.executable, "-m", "service.cli", "serve", "--config", "inertrim.toml"]
     with (tmp_path / "log").open("wb") as log:
-        service = subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log)
+        service = Program("serve", "--config", "inertrim.toml", folder=tmp_path, stdout=log, stderr=log)
     try:
         trusted = ssl.create_default_context(cafile=certificate)
         with httpx.Client(base_url=f"https://localhost:{port}", verify=trusted) as client:

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from forked import inertrim
 
 from service.store import Store
-
-
-def serve(folder: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "service.cli", "serve", *arguments],
-        cwd=folder,
-        env={**os.environ, **variables},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
 
 
 @pytest.mark.parametrize(
@@ -38,7 +24,7 @@ def serve(folder: Path, *arguments: str, **variables: str) -> subprocess.Complet
 )
 def test_settings_that_cannot_be_used(tmp_path: Path, settings: str, named: str) -> None:
     (tmp_path / "settings.toml").write_text(settings)
-    refused = serve(tmp_path, "--config", "settings.toml", "--port", "0")
+    refused = inertrim("serve", "--config", "settings.toml", "--port", "0", folder=tmp_path)
     assert refused.returncode == 2, refused.stderr
     assert named in refused.stderr
     assert "Traceback" not in refused.stderr
@@ -47,11 +33,11 @@ def test_settings_that_cannot_be_used(tmp_path: Path, settings: str, named: str)
 def test_a_port_in_use_and_a_store_in_use(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        refused = serve(tmp_path, "--port", str(port))
+        refused = inertrim("serve", "--port", str(port), folder=tmp_path)
     assert refused.returncode == 2
     assert f"127.0.0.1:{port}" in refused.stderr
     store = Store(tmp_path / "inertrim.db", alone=True)
-    refused = serve(tmp_path, "--port", "0")
+    refused = inertrim("serve", "--port", "0", folder=tmp_path)
     store.close()
     assert refused.returncode == 2
     assert "another inertrim uses it" in refused.stderr

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import Program
 from http_bench import settings_for
 
 from service.controller import Controller
@@ -72,20 +70,18 @@ def test_a_turn_that_fails_each_time_gives_no_sign_of_life(systemd: socket.socke
 def test_the_service_says_ready_once_it_listens_and_stopping_when_told_to(
     systemd: socket.socket, tmp_path: Path
 ) -> None:
-    command = [sys.executable, "-m", "service.cli", "serve", "--port", "0"]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": os.getcwd()}
-    ) as service:
-        try:
-            heard = [systemd.recv(100)]
-            while heard[-1] != b"READY=1":
-                heard.append(systemd.recv(100))
-            service.send_signal(signal.SIGTERM)
-            while heard[-1] != b"STOPPING=1":
-                heard.append(systemd.recv(100))
-        finally:
-            service.send_signal(signal.SIGTERM)
-        assert service.wait(30) == 0
+    told = {name: value for name, value in os.environ.items() if name in ("NOTIFY_SOCKET", "WATCHDOG_USEC")}
+    service = Program("serve", "--port", "0", folder=tmp_path, variables=told)
+    try:
+        heard = [systemd.recv(100)]
+        while heard[-1] != b"READY=1":
+            heard.append(systemd.recv(100))
+        service.terminate()
+        while heard[-1] != b"STOPPING=1":
+            heard.append(systemd.recv(100))
+    finally:
+        service.terminate()
+    assert service.wait(30) == 0
     assert set(heard) == {b"WATCHDOG=1", b"READY=1", b"STOPPING=1"}
 
 
