@@ -18,15 +18,6 @@ from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSett
 from drivers.recording_meta import ReferenceMeta, SiteMeta
 
 ENVIRONMENT_PREFIX = "INERTRIM_"
-PATHS = (
-    ("block", "calibration"),
-    ("block", "model"),
-    ("store", "path"),
-    ("library", "calibrations"),
-    ("library", "models"),
-    ("http", "certificate"),
-    ("http", "key"),
-)
 UNITS = ("deg", "rad", "m", "km", "ft", "s", "ms", "min", "h", "hz", "khz", "mps2", "mg", "c", "f", "k", "dps", "cpmin")
 
 
@@ -236,11 +227,23 @@ def _read_table(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error.strerror}. Give the settings file that exists, or none.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not TOML: {error}. Mend that line.") from None
-    for section, key in PATHS:
+    for section, key in _paths():
         value = table.get(section, {}).get(key) if isinstance(table.get(section), dict) else None
         if isinstance(value, str):
             table[section][key] = str(path.parent / value)
     return table
+
+
+def _paths() -> list[tuple[str, str]]:
+    """Return section and key of every setting that is a path: it is meant from the settings file's folder."""
+    sections = {name: field.annotation for name, field in Settings.model_fields.items()}
+    return [
+        (section, key)
+        for section, kind in sections.items()
+        if isinstance(kind, type) and issubclass(kind, BaseModel)
+        for key, field in kind.model_fields.items()
+        if field.annotation in (Path, Path | None)
+    ]
 
 
 def _refuse_unknown_variables() -> None:

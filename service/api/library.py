@@ -12,6 +12,7 @@ from inertial.documents import BlockModel, Calibration, DocumentError, parse_doc
 from service.api.common import ControllerHere
 from service.api.models import Library, LibraryEntry
 from service.api.problems import ProblemError, responses
+from service.controller import Controller
 
 router = APIRouter(tags=["library"])
 FileName = Annotated[str, PathParameter(description="File name as listed, without .json.", max_length=200)]
@@ -21,50 +22,54 @@ Kind = type[Calibration] | type[BlockModel]
 @router.get("/calibrations")
 def list_calibrations(controller: ControllerHere) -> Library:
     """List the calibrations that the service knows."""
-    settings = controller.settings
-    return _library(Calibration, settings.library.calibrations, settings.block.calibration)
+    return _library(Calibration, _calibrations(controller), controller.settings.block.calibration)
 
 
 @router.get("/calibrations/{name}", responses={200: {"content": {"application/json": {}}}, **responses(404, 422)})
 def read_calibration(name: FileName, controller: ControllerHere) -> Response:
     """Give one calibration document."""
-    settings = controller.settings
-    return _document(name, _files(settings.library.calibrations, settings.block.calibration), "calibration")
+    return _document(name, _calibrations(controller), "calibration")
 
 
 @router.get("/models")
 def list_models(controller: ControllerHere) -> Library:
-    """List the block models that the service knows."""
-    settings = controller.settings
-    return _library(BlockModel, settings.library.models, settings.block.model)
+    """List the block models that the service knows, those that were adopted among them."""
+    return _library(BlockModel, _models(controller), controller.models.path())
 
 
 @router.get("/models/{name}", responses={200: {"content": {"application/json": {}}}, **responses(404, 422)})
 def read_model(name: FileName, controller: ControllerHere) -> Response:
     """Give one block model."""
+    return _document(name, _models(controller), "model")
+
+
+def _calibrations(controller: Controller) -> dict[str, Path]:
     settings = controller.settings
-    return _document(name, _files(settings.library.models, settings.block.model), "model")
+    return _files(settings.library.calibrations, settings.block.calibration)
 
 
-def _files(folder: Path | None, configured: Path | None) -> dict[str, Path]:
-    """Return the documents by name: those in the folder, and the one that runs use."""
+def _models(controller: Controller) -> dict[str, Path]:
+    settings = controller.settings
+    return _files(settings.library.models, *controller.models.adopted(), settings.block.model)
+
+
+def _files(folder: Path | None, *others: Path | None) -> dict[str, Path]:
+    """Return the documents by name: those in the folder, and others."""
     found = sorted(folder.glob("*.json")) if folder is not None else []
-    files = {path.stem: path for path in found if path.is_file()}
-    if configured is not None and configured.is_file():
-        files[configured.stem] = configured
-    return files
+    return {path.stem: path for path in (*found, *others) if path is not None and path.is_file()}
 
 
-def _library(kind: Kind, folder: Path | None, configured: Path | None) -> Library:
-    return Library(entries=[_entry(kind, name, path) for name, path in _files(folder, configured).items()])
+def _library(kind: Kind, files: dict[str, Path], used: Path | None) -> Library:
+    return Library(entries=[_entry(kind, name, path, path == used) for name, path in files.items()])
 
 
-def _entry(kind: Kind, name: str, path: Path) -> LibraryEntry:
+def _entry(kind: Kind, name: str, path: Path, in_use: bool) -> LibraryEntry:
     try:
         document: Calibration | BlockModel = parse_document(kind, path.read_bytes(), path.name)
     except (DocumentError, OSError) as error:
-        return LibraryEntry(name=name, error=str(error))
-    return LibraryEntry(name=name, sha256=document.sha256(), document=document.schema_, block=document.block)
+        return LibraryEntry(name=name, error=str(error), in_use=in_use)
+    described = {"sha256": document.sha256(), "document": document.schema_, "block": document.block}
+    return LibraryEntry(name=name, in_use=in_use, **described)
 
 
 def _document(name: str, files: dict[str, Path], what: str) -> Response:

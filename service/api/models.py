@@ -112,10 +112,11 @@ class LibraryEntry(BaseModel):
     document: str | None = None
     block: str | None = None
     error: str | None = None
+    in_use: bool = Field(description="Runs go by this one now.")
 
 
 class Library(BaseModel):
-    """Documents in one folder."""
+    """Documents that the service knows."""
 
     entries: list[LibraryEntry]
 

@@ -102,7 +102,7 @@ def acknowledge_run(
     return _accepted(controller, response, run_id)
 
 
-@router.get("/{run_id}/result", responses={200: {"content": {"application/json": {}}}, **responses(404, 422)})
+@router.get("/{run_id}/result", response_model=Result, responses=responses(404, 422))
 def read_result(run_id: RunId, controller: ControllerHere) -> Response:
     """Give the result document of a run, byte for byte as it was concluded."""
     record = _known(controller, run_id)

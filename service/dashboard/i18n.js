@@ -32,7 +32,7 @@ const en = {
   difference: "difference", in_sigma: "in σ", sigma: "1σ", verification: "verification χ²", calibrations: "Calibrations", models: "Block models and their lineage",
   name: "name", block: "block", hash: "SHA-256", unreadable: "cannot be read", parent: "made from", effects: "effects", date: "date",
   disc_text: "Compares recordings with what the block model predicts, and names what the model lacks.", disc_start: "Start on a run",
-  disc_none: "No discrepancy search has been started.", progress: "progress", adopt: "Adopt the model", adopt_text: "Later runs and simulations believe in this model.",
+  in_use: "in use", disc_none: "No discrepancy search has been started.", disc_nothing: "There is no finished run and no recording in the library to search.", progress: "progress", adopt: "Adopt the model", adopt_text: "Later runs and simulations believe in this model.",
   not_there: "This service does not offer this page.", ageing_text: "Terms of every block since its calibration, with the forecast of when it leaves its limit.",
   confirm_done: "Done.", launcher: "launcher", signed_as: "signed in as", page_failed: "This could not be loaded: {why}", who: "operator", final_terms: "Final terms", circumstances: "Circumstances", checks: "checks", last_check: "last check", leaves: "leaves its limit", attention: "attention", months: "months since calibration",
 };
@@ -69,7 +69,7 @@ const fa = {
   difference: "تفاوت", in_sigma: "بر حسب σ", sigma: "۱σ", verification: "χ² راستی‌آزمایی", calibrations: "کالیبراسیون‌ها", models: "مدل‌های بلوک و تبارشان",
   name: "نام", block: "بلوک", hash: "SHA-256", unreadable: "خواندنی نیست", parent: "ساخته از", effects: "اثرها", date: "تاریخ",
   disc_text: "ضبط‌ها را با پیش‌بینی مدل بلوک می‌سنجد و کمبود مدل را نام می‌برد.", disc_start: "آغاز بر یک اجرا",
-  disc_none: "جست‌وجویی آغاز نشده است.", progress: "پیشرفت", adopt: "پذیرش مدل", adopt_text: "اجراها و شبیه‌سازی‌های بعدی این مدل را باور می‌کنند.",
+  in_use: "در حال استفاده", disc_none: "جست‌وجویی آغاز نشده است.", disc_nothing: "هیچ اجرای پایان‌یافته و هیچ ضبطی در کتابخانه نیست.", progress: "پیشرفت", adopt: "پذیرش مدل", adopt_text: "اجراها و شبیه‌سازی‌های بعدی این مدل را باور می‌کنند.",
   not_there: "این سرویس این صفحه را ندارد.", ageing_text: "جمله‌های هر بلوک از زمان کالیبراسیون، با پیش‌بینی زمان گذر از حد.",
   confirm_done: "انجام شد.", launcher: "پرتابگر", signed_as: "وارد شده به نام", page_failed: "بار نشد: {why}", who: "اپراتور", final_terms: "جمله‌های نهایی", circumstances: "شرایط", checks: "بازبینی‌ها", last_check: "آخرین بازبینی", leaves: "گذر از حد", attention: "توجه", months: "ماه پس از کالیبراسیون",
 };

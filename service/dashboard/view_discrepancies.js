@@ -14,8 +14,9 @@ export function discrepanciesView(main) {
   async function begin() {
     const [runs, known] = await Promise.all([get("/runs?limit=50"), get("/discrepancies")]);
     const choices = [...runs.runs.filter((run) => run.verdict !== null).map((run) => [`run:${run.run_id}`, `${utc(run.started)} · ${run.verdict}`]), ...known.recordings.map((name) => [`name:${name}`, name])];
+    if (!choices.length) return tell(t("disc_nothing"), true);
     const answer = await ask({ title: t("disc_start"), text: t("disc_text"), verb: t("disc_start"), fields: [{ name: "recording", label: t("run"), choices }, { name: "operator", label: t("operator"), required: true, value: localStorage.getItem("inertrim.operator") || "" }] });
-    if (!answer || !answer.recording) return;
+    if (!answer) return;
     const [kind, name] = [answer.recording.slice(0, answer.recording.indexOf(":")), answer.recording.slice(answer.recording.indexOf(":") + 1)];
     await act(() => call("POST", "/discrepancies", { recordings: [kind === "run" ? { run_id: name } : { name }], operator: answer.operator }));
   }

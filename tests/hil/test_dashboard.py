@@ -11,14 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import tomli_w
 from axe_playwright_python.sync_playwright import Axe
 from browser_bench import chromium, free_port, shots
 from line_service import Bench, ServiceProcess
 from playwright.sync_api import Browser, Page, expect
+from rest_bench import believed_model, write_rest
 
 from service.security.roles import Role
 from service.security.tokens import make_token
 from service.store import Store
+from simulators.model_store import save_model
 
 SIZES = {"1280": (1280, 900), "390": (390, 844)}
 COMBINATIONS = (("1280", "light", "en"), ("1280", "dark", "fa"), ("390", "light", "fa"), ("390", "dark", "en"))
@@ -216,8 +219,68 @@ class NoBlock:
     def config(self) -> Path:
         return self.folder / "settings.toml"
 
-    def configure(self) -> None:
-        self.config.write_text('[link]\nurl = "none"\n[site]\nlatitude_deg = 35.7\n[store]\npath = "inertrim.db"\n')
+    def configure(self, **sections: dict[str, object]) -> None:
+        settings = {"link": {"url": "none"}, "site": {"latitude_deg": 35.7}, "store": {"path": "inertrim.db"}}
+        self.config.write_text(tomli_w.dumps({**settings, **sections}))
+
+
+def answer(page: Page, **fields: str) -> None:
+    """Answer the question that a command asks first."""
+    for name, text in fields.items():
+        page.locator(f"dialog[open] [name={name}]").fill(text)
+    page.locator("dialog[open] button[type=submit]").click()
+
+
+def test_every_command_asks_first_and_then_is_done(browser: Browser, tmp_path: Path) -> None:
+    bench = NoBlock(tmp_path)
+    (tmp_path / "recordings").mkdir()
+    write_rest(tmp_path / "recordings", "bench", seed=7, accel_z_mps2=5e-3)
+    save_model(believed_model(), tmp_path / "block.json")
+    bench.configure(
+        block={"model": "block.json"},
+        library={"recordings": "recordings"},
+        sequence={"power_up_timeout_s": 4.0},
+    )
+    service = ServiceProcess(bench, port := free_port())
+    try:
+        page = Seen(browser, f"http://127.0.0.1:{port}/").page
+        page.locator("[data-command=start]:enabled").click()
+        answer(page, operator="Ada")
+        page.locator("[data-command=abort]:enabled").click()
+        page.locator("dialog[open] button[type=submit]").click()
+        assert page.locator("dialog[open]").count() == 1  # without a reason nothing is done
+        answer(page, reason="drill")
+        expect(page.locator(".verdict")).to_contain_text("ABORTED")
+        assert [one["outcome"] for one in service.get("/audit")["entries"][:2]] == ["accepted", "accepted"]
+
+        page.locator("[data-command=start]:enabled").click()
+        answer(page)
+        page.locator("[data-command=acknowledge]:enabled").click()
+        answer(page, reason="no block on this line")
+        expect(page.locator("[data-command=acknowledge]")).to_have_count(0)
+        assert service.get("/status")["state"] == "OFFLINE"
+
+        broken = page.locator(".conditions li.failed details").first
+        name = broken.get_attribute("data-name")
+        broken.locator("summary").click()
+        broken.get_by_role("button").click()
+        answer(page, reason="known")
+        expect(page.locator(f".conditions details[data-name={name}]")).to_contain_text("Ada: known")
+
+        page.goto(f"{page.url.split('#')[0]}#/discrepancies")
+        page.get_by_role("button", name="Start").click()
+        answer(page)
+        page.get_by_role("button", name="Adopt").click()
+        answer(page, operator="Ada", reason="it fits")
+        expect(page.locator("#toast")).to_contain_text("Done")
+        found = service.get("/discrepancies")["discrepancies"][0]["found"]
+        assert service.get("/audit")["entries"][0]["command"] == "adopt"
+        page.goto(f"{page.url.split('#')[0]}#/library")
+        used = page.get_by_role("listitem").filter(has_text=found[:16]).last
+        expect(used).to_contain_text("in use")
+        expect(used).to_contain_text("bias_shift (accel_z)")
+    finally:
+        service.terminate()
 
 
 def test_with_tokens_the_page_asks_for_one_and_commands_as_whom_it_stands_for(browser: Browser, tmp_path: Path) -> None:
