@@ -61,6 +61,8 @@ class Evidence:
         self.basis: dict[Slot, Basis] = {}
         self.stated: dict[Slot, Array | None] = {}
         self.floor: dict[Slot, Array] = {}
+        self.eased: dict[Slot, float] = {}
+        """Least share of the stated noise that the samples' weights may leave."""
         self._local: dict[Slot, dict[int, int]] = {}
         self._gram: dict[Slot, Array] = {}
         self._with_residual: dict[Slot, Array] = {}
@@ -89,11 +91,13 @@ class Evidence:
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s)
         self.basis[slot] = basis
+        self.eased[slot] = float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = (DV_LSB_MPS if slot[1] < 3 else DTHETA_LSB_RAD) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
         self.floor[slot] = basis.stated(noise.__class__(), lsb)
-        self.stated[slot] = basis.stated(noise, lsb) if declared else None
+        measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
+        self.stated[slot] = basis.stated(noise, lsb, (measured, predicted)) if declared else None
         bounds = basis.bounds
         parts = {i: column.parts[slot] for i, column in enumerate(self.library.columns) if slot in column.parts}
         reach = {i: _reach(part, bounds) for i, part in parts.items()}
@@ -217,7 +221,8 @@ class Evidence:
             if slot not in noise:
                 counts = self.basis[slot].counts
                 noise[slot] = fit_noise(
-                    self.basis[slot], self._residual2[slot], counts, self.stated[slot], self.floor[slot]
+                    *(self.basis[slot], self._residual2[slot], counts, self.stated[slot], self.floor[slot]),
+                    eased=self.eased[slot],
                 )
         k, f = len(free), len(fixed)
         amplitude, covariance = np.zeros(k), np.zeros((k, k))
@@ -240,7 +245,10 @@ class Evidence:
                 used = np.einsum("bij,ij->b", gram[:, :k, :k], covariance) / noise[slot].power
                 counts = self.basis[slot].counts
                 freedom = np.maximum(counts - used, 0.02 * counts)
-                noise[slot] = fit_noise(self.basis[slot], rss[slot], freedom, self.stated[slot], self.floor[slot])
+                noise[slot] = fit_noise(
+                    *(self.basis[slot], rss[slot], freedom, self.stated[slot], self.floor[slot]),
+                    eased=self.eased[slot],
+                )
         for slot in kept:
             rss[slot] = self._rss(slot, products[slot], full)
         value = sum(self._value(slot, rss[slot], noise[slot]) for slot in self.slots)

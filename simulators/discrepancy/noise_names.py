@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
-from simulators.discrepancy.whitening import fit_noise
+from simulators.discrepancy.whitening import ease, fit_noise
 
 Array = NDArray[np.float64]
 
@@ -67,10 +67,13 @@ def _of_channel(
     evidence: Evidence, fit: Fit, slots: list[Slot], channel: str, margin: float
 ) -> tuple[list[NoiseFinding], list[OtherNoise]]:
     power: dict[Slot, Array] = {}
+    wide = 0.0
     for slot in slots:
-        stated = evidence.stated[slot]
+        basis, rss, stated = evidence.basis[slot], fit.rss[slot], evidence.stated[slot]
         assert stated is not None
-        power[slot] = stated
+        free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
+        wide += _whittle(rss, basis.counts, free.power)
+        power[slot] = ease(stated, free.power, evidence.eased[slot])
     found: list[NoiseFinding] = []
     value = _total(evidence, fit, power)
     while len(found) < 2:
@@ -91,11 +94,6 @@ def _of_channel(
         sigma = _sigma(evidence, changed, TERMS[effect][1]) / (2.0 * size)
         found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
         power, value = changed, value + gain
-    wide = 0.0
-    for slot in slots:
-        basis, rss = evidence.basis[slot], fit.rss[slot]
-        free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
-        wide += _whittle(rss, basis.counts, free.power)
     gained = wide - value
     total = sum(f.gain for f in found)
     if gained > OTHER_COLOUR + 0.02 * total:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from inertial.compiled import compiled
 from inertial.documents import ChannelNoise
+from inertial.rounding import error_spectrum
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,9 @@ _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
 _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
+_STRETCHES = 128  # over which the difference to the prediction is taken to be constant
+_MOMENTS = 4  # of each at which the motion is looked at
+_POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
 STATED, WHITE, FLICKER, WIDE = range(4)
 """Levels of the noise family: as the model states; white and quantisation free; flicker as well; all free."""
 
@@ -44,17 +48,36 @@ class Basis:
         middle = 0.5 * (self.bounds[:-1] + self.bounds[1:] - 1)
         return np.asarray(middle / (2.0 * self.n * self.interval_s))
 
-    def stated(self, noise: ChannelNoise, floor: float) -> Array:
-        """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame."""
+    def stated(self, noise: ChannelNoise, floor: float, moved: tuple[Array, Array] | None = None) -> Array:
+        """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
+
+        ``moved``: what is measured and what is predicted (n,) [y]. With it, the rounding of an integral that moves by
+        less than a step at random between samples is not white (:mod:`inertial.rounding`).
+        """
         x = self._x()
         tau = self.interval_s
+        rounding = 1.0 if moved is None or not noise.quantisation else self._rounding(noise, *moved)
         flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency() * tau)
         return np.asarray(
             noise.white**2 / tau
-            + (noise.quantisation**2 + floor**2) / 12.0 * 4.0 * (np.sin(x) ** 2 + 1.0 / self.n) / tau**2
+            + (rounding * noise.quantisation**2 + floor**2) / 12.0 * 4.0 * (np.sin(x) ** 2 + 1.0 / self.n) / tau**2
             + flicker
             + noise.random_walk**2 * tau * (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / (4.0 * np.sin(x) ** 2)
         )
+
+    def _rounding(self, noise: ChannelNoise, measured: Array, predicted: Array) -> Array:
+        """Return the power of the rounding error (b,) over that of white rounding errors, step²/12."""
+        step, tau = noise.quantisation, self.interval_s
+        # the motion's course by the prediction, its level, which a bias shifts, by the measurement
+        length = self.n // _STRETCHES
+        course, level = (v[: length * _STRETCHES].reshape(_STRETCHES, length) for v in (predicted, measured - predicted))
+        moved = (course[:, :: max(1, length // _MOMENTS)] + level.mean(axis=1)[:, None]).ravel()
+        edges = self.bounds * math.pi / self.n
+        omega = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
+        variance = noise.white**2 * tau / step**2
+        error = error_spectrum(omega.ravel(), moved * tau / step, variance).reshape(omega.shape)
+        tilt = np.sin(0.5 * omega) ** 2
+        return np.asarray(12.0 * np.sum(tilt * error, axis=1) / np.sum(tilt, axis=1))
 
     def _x(self) -> Array:
         middle = np.maximum(0.5 * (self.bounds[:-1] + self.bounds[1:] - 1), _MEAN)
@@ -102,17 +125,23 @@ PENALTY_FREE = (math.inf, 0.0, 3.0, 6.0)
 
 
 def fit_noise(
-    basis: Basis, rss: Array, freedom: Array, stated: Array | None, floor: Array, *, slow: bool = True
+    basis: Basis,
+    rss: Array,
+    freedom: Array,
+    stated: Array | None,
+    floor: Array,
+    *,
+    eased: float = 1.0,
+    slow: bool = True,
 ) -> NoiseFit:
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
-    Without ``slow``, nothing but white noise and quantisation is tried.
+    ``eased`` is the least share of it that may hold, see :func:`ease`. Without ``slow``, nothing but white noise and
+    quantisation is tried.
     """
     penalty = PENALTY_FREE if stated is None else PENALTY
     best: NoiseFit | None = None
-    if stated is not None:
-        best = NoiseFit(stated, _value(rss, freedom, stated), STATED, np.zeros(basis.power.shape[1]), 0.0)
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
     start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
@@ -126,7 +155,21 @@ def fit_noise(
         if best is None or value > best.value:
             best = NoiseFit(power, value, level, variances, penalty[level])
     assert best is not None
+    if stated is not None:
+        power = ease(stated, floor + basis.power @ variances, eased)
+        value = _value(rss, freedom, power)
+        if value >= best.value:
+            best = NoiseFit(power, value, STATED, np.zeros(len(start)), 0.0)
     return best
+
+
+def ease(stated: Array, found: Array, least: float) -> Array:
+    """Return the stated power (b,), down to its share ``least`` where less was found.
+
+    Samples that are noisier for the motion count less. In a band that the motion does not touch they have no more noise
+    than others, so that what is left there is less than stated.
+    """
+    return np.asarray(stated * np.clip(found / stated, least, 1.0))
 
 
 def _value(rss: Array, freedom: Array, power: Array) -> float:
