@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
-from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise
+from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,6 @@ class Evidence:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s)
-        self.basis[slot] = basis
         self.eased[slot] = float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = (DV_LSB_MPS if slot[1] < 3 else DTHETA_LSB_RAD) / math.sqrt(scene.group)
@@ -98,6 +97,9 @@ class Evidence:
         self.floor[slot] = basis.stated(noise.__class__(), lsb)
         measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
         self.stated[slot] = basis.stated(noise, lsb, (measured, predicted)) if declared else None
+        if not declared and math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
+            basis = basis.rounded(noise, (measured, predicted))
+        self.basis[slot] = basis
         bounds = basis.bounds
         parts = {i: column.parts[slot] for i, column in enumerate(self.library.columns) if slot in column.parts}
         reach = {i: _reach(part, bounds) for i, part in parts.items()}

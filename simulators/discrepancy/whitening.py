@@ -8,7 +8,7 @@ correlation time. Each term's power in each bin of coefficients is linear in its
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,13 +27,17 @@ _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's h
 _STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _MOMENTS = 4  # of each at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
+_LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
 STATED, WHITE, FLICKER, WIDE = range(4)
 """Levels of the noise family: as the model states; white and quantisation free; flicker as well; all free."""
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms)."""
+    """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms).
+
+    The first ``fast`` terms are white noise and rounding, the next is flicker.
+    """
 
     bounds: NDArray[np.int64]
     counts: Array
@@ -41,6 +45,7 @@ class Basis:
     names: tuple[str, ...]
     n: int
     interval_s: float
+    fast: int = 2
 
     @property
     def frequency_hz(self) -> Array:
@@ -65,12 +70,29 @@ class Basis:
             + noise.random_walk**2 * tau * (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / (4.0 * np.sin(x) ** 2)
         )
 
+    def rounded(self, noise: ChannelNoise, moved: tuple[Array, Array]) -> Basis:
+        """Return the basis for a readout in steps, as :meth:`stated` takes it, of which the model knows the size about.
+
+        Its rounding errors are white or not as the white noise is half, once or twice what the model says.
+        """
+        white_rounding = self.power[:, self.names.index("quantisation")]
+        names, columns = [], []
+        for share in (0.5, 1.0, 2.0):
+            jolted = noise.model_copy(update={"white": share * noise.white})
+            columns.append(white_rounding * self._rounding(jolted, *moved))
+            names.append(f"rounding at {share:g} of the white noise")
+        power = np.column_stack([self.power[:, : self.fast], *columns, self.power[:, self.fast :]])
+        names = [*self.names[: self.fast], *names, *self.names[self.fast :]]
+        return replace(self, power=power, names=tuple(names), fast=self.fast + len(columns))
+
     def _rounding(self, noise: ChannelNoise, measured: Array, predicted: Array) -> Array:
         """Return the power of the rounding error (b,) over that of white rounding errors, step²/12."""
         step, tau = noise.quantisation, self.interval_s
         # the motion's course by the prediction, its level, which a bias shifts, by the measurement
         length = self.n // _STRETCHES
-        course, level = (v[: length * _STRETCHES].reshape(_STRETCHES, length) for v in (predicted, measured - predicted))
+        course, level = (
+            v[: length * _STRETCHES].reshape(_STRETCHES, length) for v in (predicted, measured - predicted)
+        )
         moved = (course[:, :: max(1, length // _MOMENTS)] + level.mean(axis=1)[:, None]).ravel()
         edges = self.bounds * math.pi / self.n
         omega = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
@@ -85,6 +107,20 @@ class Basis:
 
     def _frequency(self) -> Array:
         return np.asarray(self._x() / (math.pi * self.interval_s))
+
+
+def freely_rounded_hz(noise: ChannelNoise, interval_s: float) -> float:
+    """Return the frequency below which rounding errors, white or not, are lost in the white noise.
+
+    Above, an integral that moves by less than a step at random between samples has lines in its error, which come and
+    go with the motion.
+    """
+    steps = noise.white * math.sqrt(interval_s) / noise.quantisation if noise.quantisation else math.inf
+    fade = math.exp(-2.0 * (math.pi * steps) ** 2)
+    if fade < _LOST:
+        return math.inf
+    height = (1.0 + fade) / max(1.0 - fade, 1e-9)
+    return math.sqrt(12.0 * _LOST / height) * steps / (2.0 * math.pi * interval_s)
 
 
 @lru_cache(maxsize=64)
@@ -145,7 +181,7 @@ def fit_noise(
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
     start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
-    for level, terms in ((WHITE, 2), (FLICKER, 3), (WIDE, len(start)))[: 3 if slow else 1]:
+    for level, terms in ((WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start)))[: 3 if slow else 1]:
         variances = np.zeros(len(start))
         variances[:terms] = start[0] / np.maximum(np.median(basis.power[:, :terms], axis=0), 1e-300)
         variances[1:] *= 0.1
