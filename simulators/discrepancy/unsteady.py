@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.whitening import freely_rounded_hz
 from simulators.motion import Vibration
 
 Array = NDArray[np.float64]
@@ -35,11 +37,14 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
         return residual, spread
     quiet = residual[still] if still.sum() >= _FEWEST else residual
     residual = residual + _hidden_noise(scene, channel, quiet, len(residual))
+    block = max(1, round(_BLOCK_S / scene.interval_s))
+    white = math.isinf(freely_rounded_hz(getattr(scene.model.noise, CHANNELS[channel]), scene.interval_s))
+    blocks = (1, block) if white else (block,)  # the rounding of single samples is another in each motion
     for rows in moving:
         if rows.sum() < _FEWEST or still.sum() < _FEWEST:
             continue
         ratios = []
-        for block in (1, max(1, round(_BLOCK_S / scene.interval_s))):
+        for block in blocks:
             calm, busy = _noise(residual, still, block), _noise(residual, rows, block)
             if calm is not None and busy is not None and calm > 0.0:
                 ratios.append(busy / calm)
@@ -50,7 +55,7 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
 
 def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
     """Return where the block stands still, and where it turns and where it is shaken, as analysed."""
-    time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
+    time_s = _middles_s(scene, n)
     turning = np.zeros(n, dtype=np.bool_)
     edge = np.zeros(n, dtype=np.bool_)
     for _, turn in scene.turns():
@@ -59,6 +64,12 @@ def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.b
             edge |= np.abs(time_s - end) < _EDGE_S
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
     return ~(turning | shaking | edge), [turning & ~edge, shaking & ~edge]
+
+
+def _middles_s(scene: Scene, n: int) -> Array:
+    """Return the middle of each sample as analysed (n,), device time [s]."""
+    ends = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1]
+    return np.asarray(ends - 0.5 * scene.interval_s)
 
 
 def _noise(values: Array, rows: NDArray[np.bool_], block: int) -> float | None:
@@ -79,11 +90,12 @@ def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
     put_back = np.zeros(n)
     if channel >= 3:
         return put_back
-    shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
+    time_s = _middles_s(scene, n)
     fast = quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest")
     source = np.resize(fast[::-1], n)
     for motion in scene.setup.motions:
         if isinstance(motion, Vibration):
             axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
-            put_back[shaking] = abs(float(axis[channel])) * source[shaking]
+            rows = (time_s > motion.start_s) & (time_s <= motion.end_s + scene.seen.interval_s)
+            put_back[rows] = abs(float(axis[channel])) * source[rows]
     return put_back
