@@ -105,7 +105,8 @@ class Searcher:
                 break
             adopted.append(best.hypothesis)
             current = best.fit
-            adopted, current = self._polish(*self._settle(adopted, current))
+            adopted, current = self._polish(*self._settle(adopted, current, adopted[:-1]))
+        adopted, current = self._settle(adopted, current, adopted)
         return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
 
     # one step ----------------------------------------------------------------------------------------------------
@@ -333,18 +334,15 @@ class Searcher:
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 
-    def _settle(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
-        """Drop what the later ones have made needless."""
-        changed = True
-        while changed and len(adopted) > 1:
-            changed = False
-            for place, h in enumerate(adopted[:-1]):
-                rest = adopted[:place] + adopted[place + 1 :]
-                without = self._fit_of(rest, current)
-                gain = current.value - without.value
-                if bayes_factor(gain, len(h.columns), self._places(h)) < 0.5 * MARGIN:
-                    adopted, current, changed = rest, without, True
-                    break
+    def _settle(
+        self, adopted: list[Hypothesis], current: Fit, judged: Sequence[Hypothesis]
+    ) -> tuple[list[Hypothesis], Fit]:
+        """Drop those of the judged that the others, or a finer fit of noise and shapes, have made needless."""
+        for h in judged:
+            rest = [other for other in adopted if other is not h]
+            without = self._fit_of(rest, current)
+            if bayes_factor(current.value - without.value, len(h.columns), self._places(h)) < 0.5 * MARGIN:
+                return self._settle(rest, without, [other for other in judged if other is not h])
         return adopted, current
 
     def _polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:

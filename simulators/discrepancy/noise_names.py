@@ -109,6 +109,8 @@ def _of_channel(
 
 
 def _whittle(rss: Array, counts: Array, power: Array) -> float:
+    """Return the log-likelihood of all but the mean, which tells of a bias and not of noise."""
+    rss, counts, power = rss[1:], counts[1:], power[1:]
     return float(-0.5 * np.sum(counts * np.log(power) + rss / power))
 
 
@@ -129,8 +131,8 @@ def _best(evidence: Evidence, fit: Fit, power: dict[Slot, Array], unit: ChannelN
         up = down = 0.0
         for slot, column in columns.items():
             now = power[slot] + variance * column
-            up += float(np.sum(column * fit.rss[slot] / now**2))
-            down += float(np.sum(column * evidence.basis[slot].counts / now))
+            up += float(np.sum((column * fit.rss[slot] / now**2)[1:]))
+            down += float(np.sum((column * evidence.basis[slot].counts / now)[1:]))
         ratio = up / down
         variance *= ratio
         if abs(ratio - 1.0) < 1e-5:

@@ -84,7 +84,7 @@ def discrepancy(
     tell(0.02, "predicting")
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
-    mended = [replace(scene, measured=mend(scene.measured, mistakes)) for scene in raw] if mistakes else raw
+    mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
     scenes, stuck = [], []
     for scene in mended:
         free, standing = find_stuck(scene)
@@ -101,6 +101,11 @@ def discrepancy(
         _write(report, out)
     tell(1.0, "done")
     return report
+
+
+def _rewired(scene: Scene, mistakes: list[Mistake]) -> Scene:
+    data = replace(scene.data, sent=mend(scene.data.sent, mistakes))
+    return replace(scene, measured=mend(scene.measured, mistakes), data=data)
 
 
 def _report(
