@@ -394,7 +394,7 @@ def _silent(share: float, text: str) -> None:
 
 
 _WIDTH = {"time_constant": 0.5, "half_width": 0.1, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
-_ZOOMS = {"time_constant": 7, "half_width": 6, "limit": 6, "reference": 6, "nominal": 5, "time": 4}
+_ZOOMS = {"time_constant": 7, "half_width": 10, "limit": 14, "reference": 6, "nominal": 5, "time": 4}
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:
