@@ -19,7 +19,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
-from simulators.discrepancy.whitening import NoiseFit, fit_noise
+from simulators.discrepancy.whitening import NoiseFit, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -151,10 +151,23 @@ class Searcher:
                 continue
             refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
             one = self._score(refined, current, adopted)
-            if one is not None:
+            if one is not None and not self._is_rounding(one):
                 scored.append(one)
                 best[hypothesis.kind] = max(best.get(hypothesis.kind, -math.inf), one.score)
         return sorted(scored, key=lambda s: -s.score)
+
+    def _is_rounding(self, one: Scored) -> bool:
+        """Whether a line may be one of the rounding error, whose first harmonic has the amplitude step/π."""
+        h = one.hypothesis
+        if h.effect != "sinusoid":
+            return False
+        scene, hertz = self.library.scenes[0], h.shape["frequency"]
+        noise = getattr(scene.model.noise, h.channel)
+        if hertz < freely_rounded_hz(noise, scene.interval_s):
+            return False
+        size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
+        angle = size * scene.interval_s / (2.0 * math.sin(math.pi * hertz * scene.interval_s))
+        return bool(angle < noise.quantisation / math.pi)
 
     def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[tuple[float, Hypothesis]]:
         """Return what promises most, by the score that it would have if the noise were as it is, or quiet."""

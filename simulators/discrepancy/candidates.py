@@ -165,6 +165,7 @@ class Library:
 
     def _coefficients(self, scene: int, channel: int, values: Array) -> Array:
         """Return a column's coefficients; channels whose samples are all equally good share it."""
+        values = self.scenes[scene].unshaken(values, channel)
         plain = bool(np.all(self.spread[scene, channel] == 1.0)) and not self._gappy[scene, channel]
         key = (scene, -1 if plain else channel, hash(values.tobytes()))
         if key not in self._known:

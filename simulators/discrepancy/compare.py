@@ -69,6 +69,18 @@ class Scene:
         whole = len(filled) // self.group * self.group
         return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
 
+    def unshaken(self, rates: Array, column: int) -> Array:
+        """Return rates (n,) of a channel less what is taken for a vibration along its axis: all but the mean."""
+        if column >= 3:
+            return rates
+        left = rates
+        for rows, axis in _vibrations(self.setup, self.seen):
+            part = left[rows]
+            if axis[column] and part.size:
+                left = left.copy()
+                left[rows] = part - axis[column] ** 2 * (part - part.mean())
+        return left
+
     @cached_property
     def _gaps(self) -> tuple[Gaps, ...]:
         return tuple(Gaps.of(missing) for missing in self.data.missing.T)
@@ -193,16 +205,21 @@ def _levelled(setup: Setup, data: Repaired) -> Setup:
 def _shaken(setup: Setup, seen: Circumstances, residual: Array) -> Array:
     """Return the vibration (n, 3) [m/s²] as the accelerometers saw it along its axis, its mean left out."""
     shaken = np.zeros((len(residual), 3))
-    for motion in setup.motions:
-        if not isinstance(motion, Vibration):
-            continue
-        rows = (seen.time_s > motion.start_s) & (seen.time_s <= motion.end_s + seen.interval_s)
-        if rows.sum() < 4:
-            continue
-        axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
+    for rows, axis in _vibrations(setup, seen):
         along = residual[rows][:, :3] @ axis
         shaken[rows] = np.outer(along - along.mean(), axis)
     return shaken
+
+
+def _vibrations(setup: Setup, seen: Circumstances) -> list[tuple[NDArray[np.bool_], Array]]:
+    """Return where each vibration goes on (n,), and its axis (3,)."""
+    found = []
+    for motion in setup.motions:
+        if isinstance(motion, Vibration):
+            rows = (seen.time_s > motion.start_s) & (seen.time_s <= motion.end_s + seen.interval_s)
+            if rows.sum() >= 4:
+                found.append((rows, np.asarray(motion.axis) / np.linalg.norm(motion.axis)))
+    return found
 
 
 def _readings(model: BlockModel, seen: Circumstances) -> Array:

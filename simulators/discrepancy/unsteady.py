@@ -7,10 +7,12 @@ the rest of the analysis may take the noise to be the same throughout.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 
 from inertial.documents import CHANNELS
@@ -25,6 +27,8 @@ _EDGE_S = 0.3  # about the ends of a turn, where timing errors look like noise
 _SIGNIFICANT = 1.35
 _FEWEST = 24
 _ORDINARY = 0.9  # of the second differences
+_BANDS = 60
+_MEDIAN_OF_SQUARES = 0.4549  # of a standard normal variable's
 
 
 def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
@@ -66,6 +70,16 @@ def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.b
     return ~(turning | shaking | edge), [turning & ~edge, shaking & ~edge]
 
 
+def _alike(noise: Array, n: int) -> Array:
+    """Return other noise (n,) of the same spectrum, less its lines, which stand in the columns that explain them."""
+    power = np.square(dct(noise, norm="ortho"))
+    edges = np.unique(np.round(np.geomspace(1, len(power), _BANDS + 1)).astype(np.int64) - 1)
+    level = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)]) / _MEDIAN_OF_SQUARES
+    place = np.searchsorted(edges[1:-1], np.arange(n) * len(power) / n, side="right")
+    random = np.random.default_rng(len(noise))
+    return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))
+
+
 def _middles_s(scene: Scene, n: int) -> Array:
     """Return the middle of each sample as analysed (n,), device time [s]."""
     ends = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1]
@@ -91,8 +105,7 @@ def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
     if channel >= 3:
         return put_back
     time_s = _middles_s(scene, n)
-    fast = quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest")
-    source = np.resize(fast[::-1], n)
+    source = _alike(quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest"), n)
     for motion in scene.setup.motions:
         if isinstance(motion, Vibration):
             axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
