@@ -90,7 +90,8 @@ class Evidence:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s)
-        self.eased[slot] = float(np.mean(self.library.spread[slot] ** -2.0))
+        came = 1.0 - float(scene.data.missing[:, slot[1]].mean())
+        self.eased[slot] = came * float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = (DV_LSB_MPS if slot[1] < 3 else DTHETA_LSB_RAD) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))

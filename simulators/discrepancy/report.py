@@ -16,6 +16,7 @@ from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
+from simulators.discrepancy.clipping import Clipped, find_clipped
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.gap import navigation_gap, rms, where
@@ -85,18 +86,20 @@ def discrepancy(
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
     mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
-    scenes, stuck = [], []
+    scenes, stuck, clipped = [], [], []
     for scene in mended:
-        free, standing = find_stuck(scene)
+        within, limits = find_clipped(scene)
+        free, standing = find_stuck(within)
         scenes.append(free)
         stuck += standing
+        clipped += limits
     tell(0.1, "listing what could explain")
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)
     search = Searcher(evidence, tell).run()
     tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck)
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, clipped)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -116,6 +119,7 @@ def _report(
     search: Search,
     mistakes: list[Mistake],
     stuck: list[Stuck],
+    clipped: list[Clipped],
 ) -> Report:
     evidence = search.evidence
     held = HeldOut(evidence, search.fit)
@@ -126,6 +130,7 @@ def _report(
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)
+    findings += [_limit_finding(one, scenes) for one in clipped]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     unsteady = {term["channel"] for term in unexplained.unsteady}
     findings += [_noise_finding(n, search) for n in noise if n.channel not in unsteady]
@@ -274,6 +279,19 @@ def _repair_findings(scenes: list[Scene], stuck: list[Stuck]) -> list[dict[str, 
         }
         findings.append(_plain("stuck_samples", one.channel, values, 50.0, 1.0, 1.0))
     return findings
+
+
+def _limit_finding(clipped: Clipped, scenes: list[Scene]) -> dict[str, Any]:
+    values = {
+        "limit": ParameterValue(
+            value=clipped.limit,
+            sigma=clipped.sigma,
+            unit=unit_of(get_effect("saturation").parameters[0], clipped.channel),
+        )
+    }
+    frames = sum(len(scene.time_s) for scene in scenes)
+    before = math.sqrt(1.0 + 2.0 * clipped.nats / frames)
+    return _plain("saturation", clipped.channel, values, clipped.nats, before, 1.0)
 
 
 def _noise_finding(noise: NoiseFinding, search: Search) -> dict[str, Any]:

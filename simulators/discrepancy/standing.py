@@ -38,9 +38,9 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     """Return the scene with the samples of registers that stood still marked missing, and which they were."""
     data, missing = scene.data, scene.data.missing.copy()
     interval = np.diff(data.edges_s)
-    came = np.flatnonzero(~missing[:, 0])
     found = []
     for column, channel in enumerate(CHANNELS):
+        came = np.flatnonzero(~missing[:, column])
         increment = data.sent[came, column]
         off = (scene.measured[came, column] - scene.predicted[came, column]) * interval[came]
         for first, last in _standing(increment, off):

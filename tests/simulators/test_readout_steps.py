@@ -74,3 +74,15 @@ def test_vibration_along_one_axis_and_then_another_is_no_noise_of_either() -> No
     meta = RecordingMeta.model_validate({**case.meta.model_dump(exclude_none=True), "motion": shaken})
     report = discrepancy([Recording(case.samples, meta, case.path, case.meta_path)], model())
     assert report.verdict == "none", report.document["text"]
+
+
+def test_a_clipped_channel_is_named_with_its_limit_and_no_other_course_is_seen_in_it() -> None:
+    """Half of its samples are gone so, in long gaps; what bridges them may pass for a random walk of 3σ."""
+    case = recording(None, 33)
+    samples = case.samples.copy()
+    samples["dv"][:, 1] = np.clip(samples["dv"][:, 1], -5.0 / RATE_HZ, 5.0 / RATE_HZ)
+    report = discrepancy([replace(case, samples=samples)], model())
+    found = {(one["effect"], one["channel"]): one["parameters"] for one in report.findings}
+    assert set(found) - {("rate_random_walk", "accel_y")} == {("saturation", "accel_y")}
+    limit = found["saturation", "accel_y"]["limit"]
+    assert abs(limit["value"] - 5.0) < 3.0 * limit["sigma"]

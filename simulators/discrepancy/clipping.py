@@ -1,0 +1,74 @@
+"""Readings that stood at a limit while the input went beyond it: the limit, and which samples say nothing more.
+
+A clipped sample has lost its noise together with its input, so it weighs like none of the others: the limit is read
+off, and the samples are taken out. One that is clipped now and then, by its noise alone, is left to the search.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene
+
+Array = NDArray[np.float64]
+
+_WINDOW = 10  # samples averaged, so that the rounding of an integral hardly shows
+_FEWEST = 30  # samples beyond the limit
+_BEYOND = 3.0  # σ by which the input must exceed the limit, and vary while it does
+_STANDS = 0.95  # share of those samples that stand at the limit
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """One sensor read no more than ``limit`` ± ``sigma`` [y]; ``nats``: what it explains over no limit."""
+
+    channel: str
+    limit: float
+    sigma: float
+    nats: float
+
+
+def find_clipped(scene: Scene) -> tuple[Scene, list[Clipped]]:
+    """Return the scene with the samples at a limit marked missing, and the limits."""
+    missing, found = scene.data.missing.copy(), []
+    for column, channel in enumerate(CHANNELS):
+        noise = getattr(scene.model.noise, channel)
+        step = noise.quantisation / scene.seen.interval_s
+        came = ~missing[:, column]
+        clipped = _clipped(scene.measured[:, column], scene.predicted[:, column], came, step)
+        if clipped is not None:
+            limit, sigma, nats, rows = clipped
+            missing[rows, column] = True
+            found.append(Clipped(channel, limit, sigma, nats))
+    return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
+
+
+def _clipped(
+    measured: Array, predicted: Array, came: NDArray[np.bool_], step: float
+) -> tuple[float, float, float, NDArray[np.bool_]] | None:
+    """Return limit, σ, evidence [nats] and the samples that it touches; none without a limit."""
+    size, inputs = np.abs(measured), np.abs(predicted)
+    noise = float(np.median(np.abs(np.diff(measured - predicted, 2)))) * 1.4826 / math.sqrt(6.0)
+    smooth = np.abs(uniform_filter1d(measured, _WINDOW, mode="nearest"))
+    rounding = step / _WINDOW
+    largest = came & (inputs >= np.quantile(inputs[came], 1.0 - _FEWEST / max(came.sum(), _FEWEST)))
+    limit = float(np.median(size[largest]))
+    coarse = max(noise, step)
+    beyond = came & (inputs > limit + _BEYOND * coarse)
+    # Not those where the input comes or goes within the window.
+    inner = beyond & (uniform_filter1d(beyond.astype(np.float64), _WINDOW, mode="nearest") > 1.0 - 0.5 / _WINDOW)
+    if inner.sum() < _FEWEST or np.ptp(inputs[inner]) < _BEYOND * coarse:
+        return None
+    limit = float(np.mean(size[inner]))
+    stands = np.abs(smooth[inner] - limit) < 2.0 * rounding + 0.3 * noise / math.sqrt(_WINDOW)
+    if stands.mean() < _STANDS or np.corrcoef(smooth[inner], inputs[inner])[0, 1] ** 2 > 0.5:
+        return None
+    rows = came & (inputs > limit - _BEYOND * coarse)
+    nats = 0.5 * float(np.sum(((inputs - size)[inner] / coarse) ** 2))
+    return limit, max(rounding, noise / math.sqrt(inner.sum())), nats, rows
