@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO
 
 FORKSERVER = multiprocessing.get_context("forkserver")
-FORKSERVER.set_forkserver_preload(["service.cli", "service.main", "service.warm_up", "service.discrepancy_files"])
+FORKSERVER.set_forkserver_preload(["service.cli", "service.main", "service.warm_up"])
 
 
 class _Stream:
@@ -108,9 +108,11 @@ def _die_with_parent() -> None:
 def _become(words: list[str], folder: Path | None, variables: dict[str, str], streams: list[_Received | None]) -> None:
     """Be ``inertrim`` from here on: its own streams, folder and words."""
     _die_with_parent()
-    nothing = os.open(os.devnull, os.O_RDWR)
+    if streams[0] is None:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, stream in enumerate(streams):
-        os.dup2(nothing if stream is None and number == 0 else number if stream is None else stream.fileno, number)
+        if stream is not None:
+            os.dup2(stream.fileno, number)
     sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
     if folder is not None:
         os.chdir(folder)

@@ -68,8 +68,9 @@ def _entry(kind: Kind, name: str, path: Path, in_use: bool) -> LibraryEntry:
         document: Calibration | BlockModel = parse_document(kind, path.read_bytes(), path.name)
     except (DocumentError, OSError) as error:
         return LibraryEntry(name=name, error=str(error), in_use=in_use)
-    described = {"sha256": document.sha256(), "document": document.schema_, "block": document.block}
-    return LibraryEntry(name=name, in_use=in_use, **described)
+    return LibraryEntry(
+        name=name, sha256=document.sha256(), document=document.schema_, block=document.block, in_use=in_use
+    )
 
 
 def _document(name: str, files: dict[str, Path], what: str) -> Response:

@@ -1,4 +1,4 @@
-"""Readings that stood at a limit while the input went beyond it: the limit, and which samples say nothing more.
+"""Readings that stood at a limit while the input went beyond it (saturation, IEEE 528): where, and at which limit.
 
 A clipped sample has lost its noise together with its input, so it weighs like none of the others: the limit is read
 off, and the samples are taken out. One that is clipped now and then, by its noise alone, is left to the search.
@@ -22,6 +22,7 @@ _WINDOW = 10  # samples averaged, so that the rounding of an integral hardly sho
 _FEWEST = 30  # samples beyond the limit
 _BEYOND = 3.0  # σ by which the input must exceed the limit, and vary while it does
 _STANDS = 0.95  # share of those samples that stand at the limit
+_FOLLOWS = 0.5  # slope of reading over input: one on which the input acts has 1, one at its limit 0
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def _clipped(
         return None
     limit = float(np.mean(size[inner]))
     stands = np.abs(smooth[inner] - limit) < 2.0 * rounding + 0.3 * noise / math.sqrt(_WINDOW)
-    if stands.mean() < _STANDS or np.corrcoef(smooth[inner], inputs[inner])[0, 1] ** 2 > 0.5:
+    if stands.mean() < _STANDS or np.polyfit(inputs[inner], smooth[inner], 1)[0] > _FOLLOWS:
         return None
     rows = came & (inputs > limit - _BEYOND * coarse)
     nats = 0.5 * float(np.sum(((inputs - size)[inner] / coarse) ** 2))

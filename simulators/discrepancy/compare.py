@@ -69,12 +69,16 @@ class Scene:
         whole = len(filled) // self.group * self.group
         return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
 
+    def vibrations(self) -> list[tuple[NDArray[np.bool_], Array]]:
+        """Return where each vibration goes on (n,), and its axis (3,), body, of length one."""
+        return _vibrations(self.setup, self.seen)
+
     def unshaken(self, rates: Array, column: int) -> Array:
         """Return rates (n,) of a channel less what is taken for a vibration along its axis: all but the mean."""
         if column >= 3:
             return rates
         left = rates
-        for rows, axis in _vibrations(self.setup, self.seen):
+        for rows, axis in self.vibrations():
             part = left[rows]
             if axis[column] and part.size:
                 left = left.copy()

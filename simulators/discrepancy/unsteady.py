@@ -18,7 +18,6 @@ from scipy.ndimage import uniform_filter1d
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.whitening import freely_rounded_hz
-from simulators.motion import Vibration
 
 Array = NDArray[np.float64]
 
@@ -59,7 +58,7 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
 
 def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
     """Return where the block stands still, and where it turns and where it is shaken, as analysed."""
-    time_s = _middles_s(scene, n)
+    time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
     turning = np.zeros(n, dtype=np.bool_)
     edge = np.zeros(n, dtype=np.bool_)
     for _, turn in scene.turns():
@@ -80,12 +79,6 @@ def _alike(noise: Array, n: int) -> Array:
     return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))
 
 
-def _middles_s(scene: Scene, n: int) -> Array:
-    """Return the middle of each sample as analysed (n,), device time [s]."""
-    ends = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1]
-    return np.asarray(ends - 0.5 * scene.interval_s)
-
-
 def _noise(values: Array, rows: NDArray[np.bool_], block: int) -> float | None:
     """Return the noise of block means: the mean size of their second differences but the largest, which are systematic.
 
@@ -104,11 +97,8 @@ def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
     put_back = np.zeros(n)
     if channel >= 3:
         return put_back
-    time_s = _middles_s(scene, n)
     source = _alike(quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest"), n)
-    for motion in scene.setup.motions:
-        if isinstance(motion, Vibration):
-            axis = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
-            rows = (time_s > motion.start_s) & (time_s <= motion.end_s + scene.seen.interval_s)
-            put_back[rows] = abs(float(axis[channel])) * source[rows]
+    for rows, axis in scene.vibrations():
+        shaken = rows[: n * scene.group].reshape(n, scene.group).any(axis=1)
+        put_back[shaken] = abs(float(axis[channel])) * source[shaken]
     return put_back
