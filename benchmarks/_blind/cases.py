@@ -351,10 +351,11 @@ class _Draft:
             after[:, channel] = quantise(before[:, channel], world.dt, self.believed[channel].quantisation, 0.3)
             return after
 
-        usual = sent(reading)
         if name == "stuck_samples":
+            usual = sent(reading)
             return lambda e: metric.size(hidden.reframe(e, world, usual) - usual)
-        return lambda e: metric.size(sent(hidden.read_out(e, world, reading)) - usual)
+        sigma = self.spectra[channel].white / math.sqrt(world.dt)
+        return lambda e: metric.size(hidden.mean_read_out(e, world, sigma))
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = replace(self.world, setup=replace(self.world.setup, shakes=()))

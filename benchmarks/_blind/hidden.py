@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import ndtri
 
 from benchmarks._blind.noise import quantise
 from benchmarks._blind.world import CHANNELS, World, index
@@ -31,6 +32,9 @@ READOUT = ["dead_band", "saturation", "quantisation"]
 FRAME = ["axis_swap", "sign_flip", "unit_error", "stuck_samples", "lost_samples"]
 NOISE = ["random_walk", "bias_instability", "rate_random_walk"]
 EFFECTS = [*SENSOR, *SETUP, *READOUT, *FRAME, *NOISE]
+
+_QUANTILES = 101
+"""Of the noise, each as likely."""
 
 LARGEST = {  # the most that is believable, at about three times the typical range: accelerometer, gyro
     "bias_shift": (0.1, 2e-4),
@@ -276,6 +280,20 @@ def read_out(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
     else:
         out[:, column] = quantise(x, world.dt, effect.parameters["step"], 0.3)
     return out
+
+
+def mean_read_out(effect: Effect, world: World, sigma: float) -> np.ndarray:
+    """What a readout effect adds to the readings (n, 6) in the mean over white noise of 1σ in every sample.
+
+    All that somebody who knows the effect can foretell of it: what it does to one sample hangs on that sample's noise.
+    """
+    column = index(effect.channel)
+    draws = sigma * ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)
+    total = np.zeros((world.count, 6))
+    for error in draws:
+        noisy = world.inputs + error
+        total[:, column] += (read_out(effect, world, noisy) - noisy)[:, column]
+    return total / _QUANTILES
 
 
 def saturation_limit(effect: Effect, world: World) -> float:

@@ -33,6 +33,7 @@ SAME = 0.1
 MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
+_SHARPENED = 3
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
@@ -120,12 +121,22 @@ class Searcher:
         if other and other[0].score > MARGIN and (best is None or other[0].score > best.score + 1.0):
             best = other[0]
         curve = curves[0] if curves else None
+        if best is not None and curve is not None and curve.score > best.score:
+            sharp = [self._sharpened(s, current, adopted) for s in named[:_SHARPENED]]
+            named = sorted([*sharp, *named[_SHARPENED:]], key=lambda s: -s.score)
+            best = max((best, named[0]), key=lambda s: s.score)
         if curve is not None and curve.score > MARGIN + (best.score if best and best.score > MARGIN else 0.0):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
                 return pair
             return curve
         return best if best is not None and best.score > MARGIN else None
+
+    def _sharpened(self, one: Scored, current: Fit, adopted: Sequence[Hypothesis]) -> Scored:
+        """Return a name with its shape refined in the noise that is left with it."""
+        finer = self._refine(one.hypothesis, current, Look(self.evidence, current, one.fit.noise))
+        again = self._score(finer, current, adopted) if finer is not one.hypothesis else None
+        return again if again is not None and again.score > one.score else one
 
     def _pair(self, named: Sequence[Scored], adopted: Sequence[Hypothesis], curve: Scored) -> Scored | None:
         """Return the first of two names that together explain as much as a curve does."""
@@ -406,8 +417,8 @@ def _silent(share: float, text: str) -> None:
     del share, text
 
 
-_WIDTH = {"time_constant": 0.5, "half_width": 0.1, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
-_ZOOMS = {"time_constant": 7, "half_width": 10, "limit": 14, "reference": 6, "nominal": 5, "time": 4}
+_WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
+_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 4}
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:

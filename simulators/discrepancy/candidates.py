@@ -18,7 +18,7 @@ from scipy.fft import dct
 
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene, changed
+from simulators.discrepancy.compare import Scene, mean_changed
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.unsteady import level_spread
 from simulators.effects import effects, get_effect
@@ -37,6 +37,10 @@ MOST_TURNS = 16
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
 DELAY_SAMPLES = (0.5, 2.0, 6.0, 20.0)
+FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
+"""Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
+EXTREME, THINNED = 300, 10
+"""Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3, "clock_scale": 1e-5}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
@@ -273,10 +277,9 @@ class Library:
                 spread = max(float(np.ptp(s.seen.supply_v)) for s in self.scenes)
                 steady = spread < 0.05 or not all(s.supplied for s in self.scenes)
                 return [] if steady else [{"nominal": v} for v in dict.fromkeys((float(np.mean(volts)), 28.0))]
-            case "dead_band":
-                return self._dead_bands(channel)
-            case "saturation":
-                return self._limits(channel)
+            case "dead_band" | "saturation":
+                assert isinstance(effect, SampleEffect)
+                return self._felt(effect, channel, effect.parameters[0].name)
             case "sinusoid":
                 return []  # found from the spectrum
             case _:
@@ -291,34 +294,26 @@ class Library:
         ranges = [float(np.ptp(s.seen.temperature_c[:, 0])) for s in self.scenes if s.warm]
         return len(ranges) == len(self.scenes) and max(ranges) > 0.3
 
-    def _dead_bands(self, channel: str) -> list[dict[str, float]]:
-        """Widths to try: where readings are exactly zero, between the largest input silenced and the next one felt."""
-        column = CHANNELS.index(channel)
-        widths: list[float] = []
-        for scene in self.scenes:
-            silent = scene.measured[:, column] == 0.0
-            inputs = np.abs(scene.predicted[:, column])
-            if silent.sum() >= 3:
-                widths += [float(np.quantile(inputs[silent], q)) for q in (0.5, 0.9, 0.97, 1.0)]
-            low, high = np.quantile(inputs, (0.02, 0.6))
-            if high > 1.3 * low > 0.0:
-                widths += [float(w) for w in np.geomspace(max(low, 1e-3 * high), high, 5)]
-        return [{"half_width": w * 1.0001} for w in dict.fromkeys(widths) if w > 0.0]
+    def _felt(self, effect: SampleEffect, channel: str, name: str) -> list[dict[str, float]]:
+        """Return sizes of a readout effect whose change of the readings amounts to 3, 6, 12 … σ of their noise.
 
-    def _limits(self, channel: str) -> list[dict[str, float]]:
-        """Limits to try: where the largest readings stand on one value, and below the largest input."""
+        What such a change explains falls off fast on both sides of its true size, and is less than nothing at twice the
+        change.
+        """
         column = CHANNELS.index(channel)
-        limits: list[float] = []
-        for scene in self.scenes:
-            size = np.abs(scene.measured[:, column])
-            top = float(size.max())
-            if np.sum(size >= top * (1.0 - 1e-6)) >= 4:
-                limits.append(top)
-            inputs = np.abs(scene.predicted[:, column])
-            largest = float(inputs.max())
-            if largest > 1.02 * float(np.median(inputs)):
-                limits += [largest * share for share in (0.995, 0.97, 0.9, 0.75, 0.5)]
-        return [{"limit": limit} for limit in dict.fromkeys(limits) if limit > 0.0]
+        inputs, weight = _thinned(np.concatenate([np.abs(s.predicted[:, column]) for s in self.scenes]))
+        sigma = max(float(s.noise_sigma[column]) for s in self.scenes)
+        if not 0.0 < sigma < math.inf:
+            return []
+        levels = 2.0 * sigma * np.unique(np.round(np.quantile(inputs, np.linspace(0.0, 1.0, 31)) / (2.0 * sigma)))
+        near = (levels[:, None] + sigma * np.linspace(-4.0, 4.0, 13)).ravel()
+        tried = np.unique(np.concatenate([np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 60), near[near > 0.0]]))
+        sigmas = np.sqrt([weight @ effect.mean_change(inputs, sigma, {name: size}) ** 2 for size in tried]) / sigma
+        wanted = FELT_SIGMA * FELT_RATIO ** np.arange(FELT_SIZES)
+        places = {
+            int(np.argmin(np.abs(np.log(np.maximum(sigmas, 1e-9) / d)))) for d in wanted if d < 1.5 * sigmas.max()
+        }
+        return [{name: float(tried[place])} for place in sorted(places)]
 
     def _sensor_columns(
         self, effect: Effect, channel: str, shape: Mapping[str, float]
@@ -328,7 +323,7 @@ class Library:
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in range(count)]
         for s, scene in enumerate(self.scenes):
             if isinstance(effect, SampleEffect):
-                columns = changed(scene, effect.name, channel, shape)[:, on : on + 1]
+                columns = mean_changed(scene, effect, channel, shape)[:, None]
             elif isinstance(effect, (LinearEffect, SizeEffect, ThermalLag)):
                 columns = effect.regressors(scene.seen, channel, shape)
             for k in range(count):
@@ -427,6 +422,15 @@ _REFERENCE = {
     "lever_arm": ("lever",),
 }
 _PLACES = {"bias_step": 200.0}
+
+
+def _thinned(inputs: Array) -> tuple[Array, Array]:
+    """Return inputs in order of size, those in the middle thinned out, and for how many each stands."""
+    ordered = np.sort(inputs)
+    low, middle, high = np.split(ordered, [EXTREME, max(len(ordered) - EXTREME, EXTREME)])
+    kept = middle[::THINNED]
+    weight = np.concatenate([np.ones(len(low)), np.full(len(kept), float(THINNED)), np.ones(len(high))])
+    return np.concatenate([low, kept, high]), weight
 
 
 def _shifted(turn: Turn) -> tuple[Turn, Turn]:

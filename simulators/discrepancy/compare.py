@@ -13,14 +13,15 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
 from drivers.recording import Recording, RecordingError
-from inertial.documents import BlockModel, EffectEntry
+from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.discrepancy.repair import Gaps, Repaired, repair
 from simulators.effects import get_effect
-from simulators.effects.base import Circumstances, Occasion, Readings, Stage, values_of
+from simulators.effects.base import Circumstances, Occasion, Readings, SampleEffect, Stage, values_of
 from simulators.motion import Setup, Trajectory, Turn, Vibration, vibration_mean_square
 from simulators.scenarios import Scenario, ScenarioMeta, believed_setup
 
@@ -28,7 +29,10 @@ Array = NDArray[np.float64]
 
 MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
+MEDIAN_OF_SQUARES = 0.4549
+"""Of a standard normal variable."""
 _ROUNDS = 3
+_WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
 
@@ -88,6 +92,17 @@ class Scene:
     @cached_property
     def _gaps(self) -> tuple[Gaps, ...]:
         return tuple(Gaps.of(missing) for missing in self.data.missing.T)
+
+    @cached_property
+    def noise_sigma(self) -> Array:
+        """Return the 1σ of the white noise of a single sample (6,) [y]: as found below the rounding, or as stated."""
+        residual = (self.measured - self.predicted).T
+        left = np.column_stack([gaps.fill(v) for gaps, v in zip(self._gaps, residual, strict=True)])
+        power = np.square(dct(left, axis=0, norm="ortho"))
+        hertz = np.arange(len(left)) / (2.0 * len(left) * self.seen.interval_s)
+        found = np.median(power[(hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])], axis=0) / MEDIAN_OF_SQUARES
+        stated = [0.0 if self.model.noise.free else getattr(self.model.noise, name).white for name in CHANNELS]
+        return np.asarray(np.sqrt(np.maximum(found, np.square(stated) / self.seen.interval_s)))
 
     @property
     def warm(self) -> bool:
@@ -249,13 +264,7 @@ RANDOM = frozenset({"quantisation", "lost_samples", "stuck_samples"})
 """Effects of readout and frame that are no prediction but noise or loss."""
 
 
-def changed(scene: Scene, effect: str, channel: str, values: Mapping[str, float]) -> Array:
-    """Return what an effect of readout or frame would make of the noiseless prediction, less it (n, 6)."""
-    readings = Readings(
-        scene.predicted[:, :3] * scene.seen.interval_s,
-        scene.predicted[:, 3:] * scene.seen.interval_s,
-        scene.time_s.copy(),
-        np.zeros(len(scene.predicted), dtype=np.bool_),
-    )
-    get_effect(effect).begin(Occasion(channel, values, scene.seen.interval_s))(scene.seen, readings)
-    return np.asarray(np.hstack([readings.dv, readings.dtheta]) / scene.seen.interval_s - scene.predicted)
+def mean_changed(scene: Scene, effect: SampleEffect, channel: str, values: Mapping[str, float]) -> Array:
+    """Return what an effect of readout makes of a channel's readings in the mean over their noise, less them (n,)."""
+    column = CHANNELS.index(channel)
+    return effect.mean_change(scene.predicted[:, column], scene.noise_sigma[column], values)

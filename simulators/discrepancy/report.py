@@ -29,7 +29,7 @@ from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
 from simulators.discrepancy.words import in_words
 from simulators.effects import get_effect
-from simulators.effects.base import unit_of
+from simulators.effects.base import SampleEffect, unit_of
 from simulators.model_store import save_model
 
 Array = NDArray[np.float64]
@@ -126,7 +126,8 @@ def _report(
     whole = held.gap()
     named, rejected = _kept(search, held)
     noise, other_noise = name_noise(evidence, search.fit)
-    unexplained = judge(search, named, other_noise)
+    silenced = {a.hypothesis.channel for a in named if isinstance(get_effect(a.hypothesis.effect), SampleEffect)}
+    unexplained = judge(search, named, other_noise, silenced | {one.channel for one in clipped})
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)

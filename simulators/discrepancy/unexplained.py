@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,9 +50,12 @@ class Unexplained:
         return {"empirical": self.terms, "misfits": self.misfits, "unsteady": self.unsteady}
 
 
-def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherNoise]) -> Unexplained:
+def judge(
+    search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherNoise], silenced: Collection[str]
+) -> Unexplained:
     """Sort what was adopted without a name into misfits of a name and structure unknown.
 
+    ``silenced``: channels whose noise comes and goes because a limit or a dead band silences it.
     A name whose evidence lies on a channel with structure unknown stood in for it, and is withdrawn.
     """
     gains = {id(a): search.gains(a.hypothesis) for a in named}
@@ -93,11 +96,11 @@ def judge(search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherN
         hertz = sorted(a.hypothesis.shape["frequency"] for a in lines)
         nats = sum(a.gain for a in lines)
         terms.append({"kind": "periodic", "channel": channel, "term": text, "evidence_nats": nats, "hertz": hertz})
-    for noise in other_noise:
+    for noise in (n for n in other_noise if n.channel not in silenced):
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
-    unsteady = _unsteady(search)
+    unsteady = [found for found in _unsteady(search) if found["channel"] not in silenced]
     for found in unsteady:
         terms.append({"kind": "unsteady", **found})
         sensor, nats = str(found["channel"]), float(found["evidence_nats"])

@@ -16,7 +16,7 @@ from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import MEDIAN_OF_SQUARES, Scene
 from simulators.discrepancy.whitening import freely_rounded_hz
 
 Array = NDArray[np.float64]
@@ -27,7 +27,6 @@ _SIGNIFICANT = 1.35
 _FEWEST = 24
 _ORDINARY = 0.9  # of the second differences
 _BANDS = 60
-_MEDIAN_OF_SQUARES = 0.4549  # of a standard normal variable's
 
 
 def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
@@ -73,7 +72,7 @@ def _alike(noise: Array, n: int) -> Array:
     """Return other noise (n,) of the same spectrum, less its lines, which stand in the columns that explain them."""
     power = np.square(dct(noise, norm="ortho"))
     edges = np.unique(np.round(np.geomspace(1, len(power), _BANDS + 1)).astype(np.int64) - 1)
-    level = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)]) / _MEDIAN_OF_SQUARES
+    level = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEDIAN_OF_SQUARES
     place = np.searchsorted(edges[1:-1], np.arange(n) * len(power) / n, side="right")
     random = np.random.default_rng(len(noise))
     return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))

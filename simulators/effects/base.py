@@ -213,6 +213,10 @@ class SampleEffect(Effect):
     def changed(self, reading: Array, values: Mapping[str, float]) -> Array:
         """Return what becomes of readings (n,) [y]."""
 
+    @abstractmethod
+    def mean_change(self, reading: Array, sigma: float, values: Mapping[str, float]) -> Array:
+        """Return by how much readings (n,) [y] change in the mean when normal noise of 1σ [y] rides on them (n,)."""
+
     def begin(self, occasion: Occasion) -> Step:
         """Change the channel's readings."""
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.special import ndtr
 
 from simulators.effects.base import Array, Parameter, Range, SampleEffect
+from simulators.normal import density
 
 
 class DeadBand(SampleEffect):
@@ -24,6 +26,11 @@ class DeadBand(SampleEffect):
     def changed(self, reading: Array, values: Mapping[str, float]) -> Array:
         """Return zero within the band."""
         return np.where(np.abs(reading) < values["half_width"], 0.0, reading)
+
+    def mean_change(self, reading: Array, sigma: float, values: Mapping[str, float]) -> Array:
+        """Return minus the mean of what the band takes away."""
+        low, high = ((side * values["half_width"] - reading) / sigma for side in (-1.0, 1.0))
+        return np.asarray(sigma * (density(high) - density(low)) - reading * (ndtr(high) - ndtr(low)))
 
 
 EFFECT = DeadBand()

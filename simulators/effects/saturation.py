@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from simulators.effects.base import Array, Parameter, Range, SampleEffect
+from simulators.normal import beyond
 
 
 class Saturation(SampleEffect):
@@ -24,6 +25,11 @@ class Saturation(SampleEffect):
     def changed(self, reading: Array, values: Mapping[str, float]) -> Array:
         """Return the clipped reading."""
         return np.clip(reading, -values["limit"], values["limit"])
+
+    def mean_change(self, reading: Array, sigma: float, values: Mapping[str, float]) -> Array:
+        """Return minus the mean of what lies beyond the limits."""
+        above, below = ((side * reading - values["limit"]) / sigma for side in (1.0, -1.0))
+        return np.asarray(sigma * (beyond(below) - beyond(above)))
 
 
 EFFECT = Saturation()
