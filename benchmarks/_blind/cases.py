@@ -336,7 +336,7 @@ class _Draft:
             channel = index(effect.channel)
             return lambda e: metric.noise_size(channel, _noisier(self.spectra[channel], e))
         if name == "latency":
-            return lambda e: metric.size(hidden.delayed(e, world, world.inputs) - world.inputs)
+            return lambda e: metric.size(hidden.delayed(e, world) - world.inputs)
         if name == "clock_scale":
             return lambda e: metric.size(self._clock_shift(e.parameters["error"]))
         if name in hidden.SETUP:
@@ -421,11 +421,11 @@ class _Draft:
             if effect.name in hidden.SETUP and effect.name not in ("latency", "clock_scale"):
                 setup = replace(setup, **hidden.setup_of(effect, world))
         inputs = world.inputs if setup is world.setup else world.inputs_of(setup)
-        if self.sway is not None:
-            inputs = self._swayed(inputs)
         for effect in effects:
             if effect.name == "latency":
-                inputs = hidden.delayed(effect, world, inputs)
+                inputs = hidden.delayed(effect, world)
+        if self.sway is not None:
+            inputs = self._swayed(inputs)
         out = (inputs - self.bias) / self.scale
         for channel, _, _, truth in self.known:
             out[:, channel] += truth

@@ -254,17 +254,11 @@ def setup_of(effect: Effect, world: World) -> dict[str, object]:
     raise ValueError(effect.name)
 
 
-def delayed(effect: Effect, world: World, inputs: np.ndarray) -> np.ndarray:
-    """Inputs as they were a moment ago on the delayed channels, linear within a sample."""
-    total = np.vstack([np.zeros(6), np.cumsum(inputs * world.dt, axis=0)])
-    then = world.edges - effect.parameters["delay"]
+def delayed(effect: Effect, world: World) -> np.ndarray:
+    """Inputs (n, 6) as they were a moment ago on the delayed channels."""
     columns = {"accel": range(3), "gyro": range(3, 6), "all": range(6)}[effect.channel]
-    out = inputs.copy()
-    for column in columns:
-        shifted = np.interp(then, world.edges, total[:, column])
-        early = then < 0
-        shifted[early] = then[early] * inputs[0, column]
-        out[:, column] = np.diff(shifted) / world.dt
+    out = world.inputs.copy()
+    out[:, columns] = world.inputs_of(world.setup, world.edges - effect.parameters["delay"])[:, columns]
     return out
 
 

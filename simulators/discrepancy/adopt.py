@@ -34,6 +34,7 @@ MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
 _SHARPENED = 3
+_BENT = 3.0  # share of its promise that a chord of the right size may add
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
@@ -158,7 +159,8 @@ class Searcher:
         best: dict[Kind, float] = {}
         for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted)):
             wanted = max(least, best.get(hypothesis.kind, -math.inf) - TIE)
-            if promise + max(_SLACK, 0.3 * promise) < wanted:
+            slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
+            if promise + max(_SLACK, slack * promise) < wanted:
                 continue
             refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
             one = self._score(refined, current, adopted)

@@ -37,11 +37,12 @@ MOST_TURNS = 16
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
 DELAY_SAMPLES = (0.5, 2.0, 6.0, 20.0)
+"""Sizes at which a delay, and what a false clock amounts to at the end, are taken as a chord."""
 FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
 EXTREME, THINNED = 300, 10
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
-SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3, "clock_scale": 1e-5}
+SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
@@ -218,7 +219,7 @@ class Library:
         for s, scene in enumerate(self.scenes):
             difference = setup_difference(scene, effect, channel, size) / size
             raw += [((s, c), difference[:, c]) for c in range(6)]
-        places = float(len(DELAY_SAMPLES)) if effect == "latency" else 1.0
+        places = float(len(DELAY_SAMPLES)) if effect in ("latency", "clock_scale") else 1.0
         return self.add(Kind.NAMED, effect, channel, [raw], {}, places, chord=size)
 
     def _wanted(self, effect: Effect) -> list[str]:
@@ -238,11 +239,13 @@ class Library:
             return
         elif effect.name in SMALL:
             self.setup_trial(effect.name, "all", SMALL[effect.name])
-        elif effect.name == "latency":
-            step = self.scenes[0].seen.interval_s
+        elif effect.name in ("latency", "clock_scale"):
+            unit = self.scenes[0].seen.interval_s
+            if effect.name == "clock_scale":
+                unit /= float(self.scenes[0].data.edges_s[-1] - self.scenes[0].data.edges_s[0])
             for channel in self._wanted(effect):
                 for factor in DELAY_SAMPLES:
-                    self.setup_trial("latency", channel, factor * step)
+                    self.setup_trial(effect.name, channel, factor * unit)
         elif effect.name == "level_error":
             for rides in (0.0, 1.0):
                 raw = [
