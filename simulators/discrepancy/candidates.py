@@ -36,7 +36,7 @@ MOST_TURNS = 16
 """Turns whose own errors are looked for; those of later ones are left to the named effects."""
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
-DELAY_SAMPLES = (0.5, 2.0, 6.0, 20.0)
+DELAY_SAMPLES = (0.03, 0.5, 2.0, 6.0, 20.0)
 """Sizes at which a delay, and what a false clock amounts to at the end, are taken as a chord."""
 FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-11
+_MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _MANY = 64
 _NOTHING = 1e-7  # share of a column's power
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
@@ -209,7 +210,8 @@ class Evidence:
     def fit(self, ids: Sequence[int], start: Fit | None = None, fixed: Sequence[int] = ()) -> Fit:
         """Fit columns and noise together.
 
-        ``start`` gives the noise to begin with; slots that none of the columns new to it touches keep it.
+        ``start`` gives the noise to begin with; slots that none of the columns new to it touches keep it, unless what
+        the reference is unsure of is found to be other there.
         Columns in ``fixed`` have amplitude one.
         """
         free = tuple(i for i in dict.fromkeys((*self.prior, *ids)) if i not in fixed)
@@ -219,7 +221,6 @@ class Evidence:
         changed |= self.touched(gone)
         noise = {} if start is None else dict(start.noise)
         products = {slot: self.products(slot, everything) for slot in self.slots}
-        kept = [slot for slot in self.slots if slot not in changed]
         for slot in self.slots:
             if slot not in noise:
                 counts = self.basis[slot].counts
@@ -227,12 +228,29 @@ class Evidence:
                     *(self.basis[slot], self._residual2[slot], counts, self.stated[slot], self.floor[slot]),
                     eased=self.eased[slot],
                 )
-        k, f = len(free), len(fixed)
+        fit = self._joint(free, fixed, noise, products, changed)
+        if start is not None:
+            moved = {slot for slot in self.slots if slot not in changed and _moved(start, fit, slot)}
+            if moved:
+                fit = self._joint(free, fixed, fit.noise, products, changed | moved)
+        return fit
+
+    def _joint(
+        self,
+        free: tuple[int, ...],
+        fixed: Sequence[int],
+        noise: dict[Slot, NoiseFit],
+        products: dict[Slot, tuple[Array, Array]],
+        changed: set[Slot],
+    ) -> Fit:
+        """Fit amplitudes and, of the slots changed, noise, in turns."""
+        k, f, noise = len(free), len(fixed), dict(noise)
         amplitude, covariance = np.zeros(k), np.zeros((k, k))
         rss: dict[Slot, Array] = {}
+        kept = [slot for slot in self.slots if slot not in changed]
+        moving = [slot for slot in self.slots if slot in changed]
         steady = np.diag([1.0 / self.prior[i] ** 2 if i in self.prior else 0.0 for i in free])
         steady, steady_right = _normal(steady, np.zeros(k), [products[slot] for slot in kept], [noise[s] for s in kept])
-        moving = [slot for slot in self.slots if slot in changed]
         for _ in range(_ROUNDS):
             matrix, right = _normal(steady, steady_right, [products[s] for s in moving], [noise[s] for s in moving])
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -256,7 +274,7 @@ class Evidence:
             rss[slot] = self._rss(slot, products[slot], full)
         value = sum(self._value(slot, rss[slot], noise[slot]) for slot in self.slots)
         value -= 0.5 * sum((a / self.prior[i]) ** 2 for i, a in zip(free, amplitude, strict=True) if i in self.prior)
-        return Fit(everything, np.concatenate([amplitude, np.ones(f)]), covariance, float(value), noise, rss)
+        return Fit((*free, *fixed), full, covariance, float(value), noise, rss)
 
     def _rss(self, slot: Slot, products: tuple[Array, Array], amplitude: Array) -> Array:
         gram, with_residual = products
@@ -270,6 +288,11 @@ class Evidence:
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
         penalty = noise.penalty
         return float(-0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)) - penalty
+
+
+def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:
+    """Whether what is left in a slot whose noise was kept is no longer what that noise was fitted to."""
+    return bool(np.sum(np.abs(fit.rss[slot] - start.rss[slot]) / fit.noise[slot].power) > _MOVED)
 
 
 def _reach(part: Array, bounds: NDArray[np.int64]) -> int:
