@@ -341,10 +341,9 @@ class _Draft:
             return lambda e: metric.size(self._clock_shift(e.parameters["error"]))
         if name in hidden.SETUP:
             return lambda e: metric.size(world.inputs_of(world.moved(**hidden.setup_of(e, world))) - world.inputs)
-        reading = world.inputs + noise
         if name in ("axis_swap", "sign_flip", "unit_error"):
-            return lambda e: metric.size(hidden.reframe(e, world, reading) - reading)
-        channel = index(effect.channel)
+            return lambda e: metric.size(hidden.reframe(e, world, world.inputs) - world.inputs)
+        reading, channel = world.inputs + noise, index(effect.channel)
 
         def sent(before: np.ndarray) -> np.ndarray:
             after = before.copy()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,8 @@ class Evidence:
         self.stated[slot] = basis.stated(noise, lsb, (measured, predicted)) if declared else None
         if not declared and math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
             basis = basis.rounded(noise, (measured, predicted))
+        if not declared and any((noise.white, noise.flicker, noise.random_walk)):
+            basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))
         self.basis[slot] = basis
         bounds = basis.bounds
         parts = {i: column.parts[slot] for i, column in enumerate(self.library.columns) if slot in column.parts}

@@ -19,9 +19,11 @@ from simulators.discrepancy.compare import Scene
 Array = NDArray[np.float64]
 
 _CHANCE = 1e-3  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
-_SHORTEST_RUN = 6
+_SHORTEST_RUN = 3
+_SHORT_RUN = 6
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
+_FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
 
 
@@ -70,7 +72,8 @@ def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
     for a, b in zip(first, last, strict=True):
         if b - a < _SHORTEST_RUN or increment[a] == 0.0:  # a dead band stands at zero and is no stuck register
             continue
-        if b - a >= longest or _astray(off, int(a), int(b), step, noise) > _ASTRAY:
+        astray = _astray(off, int(a), int(b), step, noise)
+        if b - a >= longest or astray > (_ASTRAY if b - a >= _SHORT_RUN else _FAR_ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
 

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 _BLOCK_S = 0.5  # noise of this time scale is looked at beside that of single samples
 _EDGE_S = 0.3  # about the ends of a turn, where timing errors look like noise
 _SIGNIFICANT = 1.35
+_SIGMA = 0.9  # of ln of a mean size of second differences, times the root of their number
+_CERTAIN = 4.5  # σ by which noise must be larger
 _FEWEST = 24
 _ORDINARY = 0.9  # of the second differences
 _BANDS = 60
@@ -45,13 +47,14 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     for rows in moving:
         if rows.sum() < _FEWEST or still.sum() < _FEWEST:
             continue
-        ratios = []
+        ratios = [1.0]
         for block in blocks:
             calm, busy = _noise(residual, still, block), _noise(residual, rows, block)
             if calm is not None and busy is not None and calm > 0.0:
-                ratios.append(busy / calm)
-        if ratios and max(ratios) > _SIGNIFICANT:
-            spread[rows] = max(ratios)
+                sigma = _SIGMA * math.sqrt(block / still.sum() + block / rows.sum())
+                if busy / calm > max(_SIGNIFICANT, math.exp(_CERTAIN * sigma)):
+                    ratios.append(busy / calm)
+        spread[rows] = max(ratios)
     return residual, spread
 
 

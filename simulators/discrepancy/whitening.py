@@ -29,14 +29,16 @@ _MOMENTS = 4  # of each at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
 STATED, WHITE, FLICKER, WIDE = range(4)
-"""Levels of the noise family: as the model states; white and quantisation free; flicker as well; all free."""
+"""Levels of the noise family: as the model states, or in its proportions; white and quantisation free; flicker as well;
+all free."""
 
 
 @dataclass(frozen=True)
 class Basis:
     """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms).
 
-    The first ``fast`` terms are white noise and rounding, the next is flicker.
+    The first ``fast`` terms are white noise and rounding, the next is flicker. ``shape`` (b,): white noise, flicker and
+    random walk in the proportions of a model that leaves their size free.
     """
 
     bounds: NDArray[np.int64]
@@ -46,6 +48,7 @@ class Basis:
     n: int
     interval_s: float
     fast: int = 2
+    shape: Array | None = None
 
     @property
     def frequency_hz(self) -> Array:
@@ -151,12 +154,11 @@ class NoiseFit:
     power: Array
     value: float
     level: int
-    variances: Array
     penalty: float
 
 
 PENALTY = (0.0, 3.0, 6.0, 8.0)
-"""What each level costs [nats] where the model states its noise; where its size is free, STATED does not exist."""
+"""What each level costs [nats] where the model states its noise, or the proportions of its terms."""
 PENALTY_FREE = (math.inf, 0.0, 3.0, 6.0)
 
 
@@ -173,29 +175,36 @@ def fit_noise(
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
-    ``eased`` is the least share of it that may hold, see :func:`ease`. Without ``slow``, nothing but white noise and
-    quantisation is tried.
+    ``eased`` is the least share of it that may hold, see :func:`ease`. Without ``slow``, nothing is tried but white
+    noise and rounding, or noise of the model's proportions and rounding.
     """
-    penalty = PENALTY_FREE if stated is None else PENALTY
+    proportioned = stated is None and basis.shape is not None
+    penalty = PENALTY_FREE if stated is None and basis.shape is None else PENALTY
     best: NoiseFit | None = None
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
     start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
-    for level, terms in ((WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start)))[: 3 if slow else 1]:
+    levels = [(WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start))]
+    if proportioned:
+        levels.insert(0, (STATED, basis.fast))
+    for level, terms in levels[: len(levels) if slow else 1]:
+        columns = basis.power
+        if level == STATED and basis.shape is not None:
+            columns = np.column_stack([basis.shape, basis.power[:, 1:]])
         variances = np.zeros(len(start))
-        variances[:terms] = start[0] / np.maximum(np.median(basis.power[:, :terms], axis=0), 1e-300)
+        variances[:terms] = start[0] / np.maximum(np.median(columns[:, :terms], axis=0), 1e-300)
         variances[1:] *= 0.1
-        _climb(basis.power, rss, freedom, floor, variances, 150)
-        power = floor + basis.power @ variances
+        _climb(columns, rss, freedom, floor, variances, 150)
+        power = floor + columns @ variances
         value = _value(rss, freedom, power) - penalty[level]
         if best is None or value > best.value:
-            best = NoiseFit(power, value, level, variances, penalty[level])
+            best = NoiseFit(power, value, level, penalty[level])
     assert best is not None
     if stated is not None:
-        power = ease(stated, floor + basis.power @ variances, eased)
+        power = ease(stated, power, eased)
         value = _value(rss, freedom, power)
         if value >= best.value:
-            best = NoiseFit(power, value, STATED, np.zeros(len(start)), 0.0)
+            best = NoiseFit(power, value, STATED, 0.0)
     return best
 
 

@@ -108,7 +108,8 @@ def _best(scenes: list[Scene], first: int) -> tuple[list[int], list[float], list
                 if plain or (abs(factor) != 1.0 and (j != c or abs(slope / factor - 1.0) > _COINCIDENCE)):
                     continue
                 left = float(np.sum(((m - factor * p) / s) ** 2))
-                misfit = float(np.sum((m - factor * p) ** 2)) / max(float(np.sum(m**2)), 1e-300)
+                noise = float(np.sum(s**2))
+                misfit = (float(np.sum((m - factor * p) ** 2)) - 2.0 * noise) / max(float(np.sum(m**2)) - noise, 1e-300)
                 fits = left < _SHARE * own and own - left > _LEAST and misfit < _MISFIT**2
                 if fits and left < best[0]:
                     best = (left, j, factor)
