@@ -14,17 +14,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import idct
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot, to_cosine
+from simulators.discrepancy.atoms import Steps, best_line, score_of
+from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
-from simulators.discrepancy.whitening import NoiseFit, fit_noise, freely_rounded_hz
+from simulators.discrepancy.sparse import find_sparse
+from simulators.discrepancy.whitening import NoiseFit, freely_rounded_hz
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MARGIN = 4.5
+MARGIN = 6.0
 """Bayes factor [nats] beyond the penalty of looking that a name must have."""
 TIE = 3.0
 """Names whose fit is within so many nats of the best are one answer."""
@@ -34,7 +35,9 @@ MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
 _SHARPENED = 3
+_FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
+_STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
@@ -93,7 +96,7 @@ class Searcher:
         self.progress = progress or _silent
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
-        self._steps: dict[Slot, Array] = {}
+        self._steps: dict[Slot, Steps] = {}
 
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
@@ -103,11 +106,14 @@ class Searcher:
         while len(adopted) < MOST_FINDINGS:
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
             best = self._next(current, adopted)
+            new = [] if best is None else [best.hypothesis]
             if best is None:
+                new, current = self._swallowed(adopted, current)
+            else:
+                current = best.fit
+            if not new:
                 break
-            adopted.append(best.hypothesis)
-            current = best.fit
-            adopted, current = self._polish(*self._settle(adopted, current, adopted[:-1]))
+            adopted, current = self._polish(*self._settle([*adopted, *new], current, adopted))
         adopted, current = self._settle(adopted, current, adopted)
         return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
 
@@ -132,6 +138,21 @@ class Searcher:
                 return pair
             return curve
         return best if best is not None and best.score > MARGIN else None
+
+    def _swallowed(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
+        """Return a step, a line or two that a wide noise model has swallowed, and the fit with them."""
+        for one in find_sparse(self.evidence, current):
+            if len(one.steps) + len(one.lines_hz) > _FEW:
+                continue
+            trials = [self.step_trial(one.slot, first) for first in one.steps]
+            trials += [self.line_trial(one.slot, hertz) for hertz in one.lines_hz]
+            new = [trial for trial in trials if trial is not None]
+            fit = self._fit_of([*adopted, *new], current)
+            count = sum(len(h.columns) for h in new)
+            places = math.prod(self._places(h) for h in new)
+            if bayes_factor(fit.value - current.value, count, places) > MARGIN:
+                return new, fit
+        return [], current
 
     def _sharpened(self, one: Scored, current: Fit, adopted: Sequence[Hypothesis]) -> Scored:
         """Return a name with its shape refined in the noise that is left with it."""
@@ -210,14 +231,7 @@ class Searcher:
 
     def quiet(self, current: Fit) -> dict[Slot, NoiseFit]:
         """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
-        noise = {}
-        for slot, rss in current.rss.items():
-            basis, stated = self.evidence.basis[slot], self.evidence.stated[slot]
-            fitted = fit_noise(basis, rss, basis.counts, None, self.evidence.floor[slot], slow=False)
-            if stated is not None and np.median(fitted.power / stated) < 1.5:
-                fitted = replace(fitted, power=stated)
-            noise[slot] = fitted
-        return noise
+        return {slot: self.evidence.quiet(slot, rss) for slot, rss in current.rss.items()}
 
     def _places(self, hypothesis: Hypothesis) -> float:
         if hypothesis.kind is not Kind.NAMED:
@@ -288,71 +302,36 @@ class Searcher:
 
     def _late(self, current: Fit, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
         """Return steps and lines where the whitened residual has them, one or two a channel."""
-        late: list[Hypothesis] = []
+        late: list[Hypothesis | None] = []
         for model in (noise, current.noise):
             for slot in self.evidence.slots:
-                score = self._whitened_score(slot, current, model)
-                late += self._step(slot, score, model) + self._lines(slot, score, model)
-        return late
+                basis, power = self.evidence.basis[slot], model[slot].power
+                left = self.library.left(slot, current.ids, current.amplitude)
+                score = score_of(left, power, basis, self.library.spread[slot])
+                first, gain = self.steps(slot).best(score, power)
+                if gain > _STEP_NATS:
+                    late.append(self.step_trial(slot, first))
+                hertz, gain = best_line(score, power, basis)
+                if gain > math.log(basis.n) + _LINE_NATS:
+                    late.append(self.line_trial(slot, hertz))
+        return [h for h in late if h is not None]
 
-    def _whitened_score(self, slot: Slot, fit: Fit, noise: dict[Slot, NoiseFit]) -> Array:
-        """Return d ln L / d reading (n,): what any column's product with it says at once."""
-        weight = np.repeat(1.0 / noise[slot].power, self.evidence.basis[slot].counts.astype(np.int64))
-        return (
-            np.asarray(idct(weight * self.library.left(slot, fit.ids, fit.amplitude), norm="ortho"))
-            / self.library.spread[slot]
-        )
-
-    def _step(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
-        scene, n = self.library.scenes[slot[0]], len(score)
-        since = np.cumsum(score[::-1])[::-1]
-        trials, powers = self._step_powers(slot, n)
-        sizes = powers @ (1.0 / noise[slot].power)
-        where = np.arange(n)
-        gain = since**2 / np.interp(where, trials, sizes)
-        gain[(where < 0.01 * n) | (where > 0.99 * n)] = 0.0
-        best = int(np.argmax(gain))
-        if 0.5 * gain[best] < 4.0:
-            return []
-        time_s = float(scene.data.edges_s[best * scene.group])
-        found = self.library.trial("bias_step", CHANNELS[slot[1]], {"time": time_s}, 200.0)
-        return [] if found is None else [found]
-
-    def _step_powers(self, slot: Slot, n: int) -> tuple[Array, Array]:
-        """Return twenty places of a step and the power of each in every bin, made once."""
-        trials = np.linspace(0.02, 0.98, 20) * n
+    def steps(self, slot: Slot) -> Steps:
+        """Return the steps of a slot."""
         if slot not in self._steps:
-            powers = []
-            for start in trials:
-                column = np.zeros(n)
-                column[int(start) :] = 1.0
-                power = np.square(to_cosine(column / self.library.spread[slot]))
-                powers.append(np.add.reduceat(power, self.evidence.basis[slot].bounds[:-1]))
-            self._steps[slot] = np.array(powers)
-        return trials, self._steps[slot]
+            self._steps[slot] = Steps(self.evidence.basis[slot], self.library.spread[slot])
+        return self._steps[slot]
 
-    def _lines(self, slot: Slot, score: Array, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
-        scene, n = self.library.scenes[slot[0]], len(score)
-        interval = scene.interval_s
-        spectrum = np.abs(np.fft.rfft(score, 2 * n)) ** 2
-        frequency = np.fft.rfftfreq(2 * n, interval)
-        place = np.clip((2.0 * frequency * n * interval).astype(np.int64), 0, n - 1)
-        bins = np.searchsorted(self.evidence.basis[slot].bounds[1:-1], place, "right")
-        gain = spectrum * noise[slot].power[bins] / n
-        gain[frequency < 4.0 / (n * interval)] = 0.0
-        best = int(np.argmax(gain))
-        if gain[best] < math.log(n) + 3.0:
-            return []
-        time_s = (np.arange(n) + 0.5) * interval
-        step = 0.5 / (2 * n * interval)
-        centre = float(frequency[best])
-        for _ in range(5):
-            trials = [centre - step, centre, centre + step]
-            values = [abs(np.exp(-2j * math.pi * f * time_s) @ score) for f in trials]
-            centre = trials[int(np.argmax(values))]
-            step *= 0.5
-        found = self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": centre}, float(n) / 2.0)
-        return [] if found is None else [found]
+    def step_trial(self, slot: Slot, first: int) -> Hypothesis | None:
+        """Return a step before an analysed sample."""
+        scene = self.library.scenes[slot[0]]
+        shape = {"time": float(scene.data.edges_s[first * scene.group])}
+        return self.library.trial("bias_step", CHANNELS[slot[1]], shape, 200.0)
+
+    def line_trial(self, slot: Slot, hertz: float) -> Hypothesis | None:
+        """Return a line."""
+        places = 0.5 * self.evidence.basis[slot].n
+        return self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": hertz}, places)
 
     # second thoughts -----------------------------------------------------------------------------------------------
 

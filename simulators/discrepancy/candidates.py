@@ -404,14 +404,15 @@ class Library:
             self.nuisance.append((column, sigma))
 
     def _add_generic(self, channel: int) -> None:
-        by_name: dict[str, list[tuple[Slot, Array]]] = {}
+        by_name: dict[str, list[list[tuple[Slot, Array]]]] = {}
         for s, scene in enumerate(self.scenes):
             for name, values in generic_columns(scene, channel):
-                by_name.setdefault(name, []).append(((s, channel), values))
+                raw = by_name.setdefault(name, [[] for _ in values.T])
+                for column, of_scene in zip(raw, values.T, strict=True):
+                    column.append(((s, channel), of_scene))
         for name, raw in by_name.items():
-            if self._only is not None and (name, CHANNELS[channel]) not in self._only:
-                continue
-            self.add(Kind.EMPIRICAL, name, CHANNELS[channel], [raw])
+            if self._only is None or (name, CHANNELS[channel]) in self._only:
+                self.add(Kind.EMPIRICAL, name, CHANNELS[channel], raw)
 
 
 _SPARSE = {"size_effect", "level_error"}

@@ -87,6 +87,14 @@ class Evidence:
         stated = self.stated[slot]
         return self.floor[slot] if stated is None else stated
 
+    def quiet(self, slot: Slot, rss: Array) -> NoiseFit:
+        """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
+        basis, stated = self.basis[slot], self.stated[slot]
+        fitted = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False)
+        if stated is not None and np.median(fitted.power / stated) < 1.5:
+            fitted = replace(fitted, power=stated)
+        return fitted
+
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
@@ -282,6 +290,10 @@ class Evidence:
         gram, with_residual = products
         left = self._residual2[slot] - 2.0 * with_residual @ amplitude + (gram @ amplitude) @ amplitude
         return np.asarray(np.maximum(left, 1e-12 * self._residual2[slot]))
+
+    def noise_value(self, slot: Slot, noise: NoiseFit, left: Array) -> float:
+        """Return the log-likelihood [nats] of coefficients (n,) left in a slot, less the penalty of its noise."""
+        return self._value(slot, np.add.reduceat(left**2, self.basis[slot].bounds[:-1]), noise)
 
     def slot_value(self, slot: Slot, fit: Fit) -> float:
         """Return the log-likelihood [nats] of one slot, less the penalty of its noise."""

@@ -1,6 +1,7 @@
 """A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
 
-Smooth functions of time, temperature, the sensor's own input, products of inputs, and memory of the input.
+Smooth functions of time, waves that die out, temperature, the sensor's own input, products of inputs, memory of the
+input, and ringing after changes of motion.
 """
 
 from __future__ import annotations
@@ -16,11 +17,45 @@ from simulators.discrepancy.compare import Scene
 Array = NDArray[np.float64]
 
 _MEMORY_S = (1.5, 6.0, 25.0)
+_LASTING, _WAVES = (0.05, 0.12, 0.25), (1.0, 2.0, 3.0, 4.0, 6.0)
+_RINGS_S, _PERIODS_S = (2.0, 6.0), (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 _NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 
 
 def generic_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
-    """Yield name and values (n,) of every generic function for a channel."""
+    """Yield name and columns (n, k) of every generic function for a channel."""
+    for name, column in _single_columns(scene, channel):
+        yield name, column[:, None]
+    yield from _dying_waves(scene)
+    yield from _ringing(scene)
+
+
+def _dying_waves(scene: Scene) -> Iterator[tuple[str, Array]]:
+    """Yield waves that die out from the start of the record on: two poles of a transient."""
+    span_s = float(scene.time_s[-1] - scene.time_s[0])
+    along = (scene.time_s - scene.time_s[0]) / span_s
+    for lasting in _LASTING:
+        for waves in _WAVES:
+            decay, phase = np.exp(-along / lasting), 2.0 * np.pi * waves * along
+            name = f"wave of {waves:g} periods that dies out in {lasting * span_s:.0f} s"
+            yield name, np.column_stack([decay * np.cos(phase), decay * np.sin(phase)])
+
+
+def _ringing(scene: Scene) -> Iterator[tuple[str, Array]]:
+    """Yield what rings after every change of the rate of turn."""
+    if not scene.turns():
+        return
+    interval_s = scene.seen.interval_s
+    knocks = np.linalg.norm(np.diff(scene.seen.gyro_radps, axis=0, prepend=scene.seen.gyro_radps[:1]), axis=1)
+    for lasting_s in _RINGS_S:
+        for period_s in _PERIODS_S:
+            pole = np.exp((2j * np.pi / period_s - 1.0 / lasting_s) * interval_s)
+            rings = lfilter([1.0], [1.0, -pole], knocks.astype(np.complex128))
+            name = f"ringing of {period_s:g} s after turns, {lasting_s:g} s long"
+            yield name, np.column_stack([rings.real, rings.imag])
+
+
+def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
     seen = scene.seen
     n = seen.time_s.size
     phase = np.pi * (np.arange(n) + 0.5) / n

@@ -15,6 +15,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
 from simulators.discrepancy.candidates import Kind, Slot, to_cosine
 from simulators.discrepancy.noise_names import OtherNoise
+from simulators.discrepancy.sparse import Sparse, find_sparse
 from simulators.discrepancy.whitening import freely_rounded_hz
 
 Array = NDArray[np.float64]
@@ -100,7 +101,8 @@ def judge(
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
-    unsteady = [found for found in _unsteady(search) if found["channel"] not in silenced]
+    swallowed = [_swallowed(one) for one in find_sparse(search.evidence, search.fit)]
+    unsteady = swallowed + [found for found in _unsteady(search) if found["channel"] not in silenced]
     for found in unsteady:
         terms.append({"kind": "unsteady", **found})
         sensor, nats = str(found["channel"]), float(found["evidence_nats"])
@@ -142,6 +144,13 @@ def _together(search: Search, lines: Sequence[Adopted]) -> str | None:
     if all(near):
         return "harmonics of one line"
     return "many lines" if len(lines) > 2 else None
+
+
+def _swallowed(one: Sparse) -> dict[str, Any]:
+    """Return in words what a wide noise model had swallowed."""
+    parts = [f"{len(one.steps)} jumps"] if one.steps else []
+    parts += [f"lines at {', '.join(f'{hertz:.3g}' for hertz in sorted(one.lines_hz))} Hz"] if one.lines_hz else []
+    return {"channel": CHANNELS[one.slot[1]], "term": " and ".join(parts), "evidence_nats": one.nats}
 
 
 def _unsteady(search: Search) -> list[dict[str, Any]]:

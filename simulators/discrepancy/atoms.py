@@ -1,0 +1,112 @@
+"""Where one step, or one line, would explain most of what is left of a channel: all places are looked at at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import idct
+
+from inertial.compiled import compiled
+from simulators.discrepancy.candidates import to_cosine
+from simulators.discrepancy.whitening import Basis
+
+Array = NDArray[np.float64]
+
+_TRIALS = 20  # places at which the power of a step is worked out; between them it is smooth
+_EDGE = 0.01  # of the record at either end, where a step says nothing
+_FEWEST_CYCLES = 2.0
+_BLOCKS = 1000  # among which levels are told apart
+
+
+def score_of(left: Array, power: Array, basis: Basis, spread: Array) -> Array:
+    """Return d ln L / d reading (n,): what any column's product with it says at once.
+
+    ``left`` (n,): cosine coefficients of what is left; ``power`` (b,): the noise; ``spread`` (n,): of each sample.
+    """
+    weight = np.repeat(1.0 / power, basis.counts.astype(np.int64))
+    return np.asarray(idct(weight * left, norm="ortho")) / spread
+
+
+class Steps:
+    """Steps in one slot: the power of each in every bin, made once."""
+
+    def __init__(self, basis: Basis, spread: Array) -> None:
+        self._places = np.linspace(0.02, 0.98, _TRIALS) * basis.n
+        powers = []
+        for start in self._places:
+            power = np.square(to_cosine((np.arange(basis.n) >= int(start)) / spread))
+            powers.append(np.add.reduceat(power, basis.bounds[:-1]))
+        self._powers = np.array(powers)
+
+    def best(self, score: Array, power: Array) -> tuple[int, float]:
+        """Return the first sample of the step that explains most, and what it gains [nats]."""
+        n = len(score)
+        where = np.arange(n)
+        sizes = np.interp(where, self._places, self._powers @ (1.0 / power))
+        gain = 0.5 * np.cumsum(score[::-1])[::-1] ** 2 / sizes
+        gain[(where < _EDGE * n) | (where > (1.0 - _EDGE) * n)] = 0.0
+        best = int(np.argmax(gain))
+        return best, float(gain[best])
+
+
+def levels(left: Array, power: Array, basis: Basis, spread: Array, cost: float) -> list[int]:
+    """Return where each level but the first begins when what is left is taken for constant levels, ``cost`` nats each.
+
+    Optimal over all choices (optimal partitioning, Jackson et al. 2005), of block means whose noise is that at their
+    own time scale.
+    """
+    count = min(_BLOCKS, len(left))
+    size = len(left) // count
+    values = np.asarray(idct(left, norm="ortho"))[: count * size] * spread[: count * size]
+    means = values.reshape(count, size).mean(axis=1)
+    bin_of_blocks = int(np.searchsorted(basis.bounds, basis.n / size, "right")) - 1
+    variance = float(power[min(bin_of_blocks, len(power) - 1)]) / size
+    starts = _segments(means, variance, cost)
+    return [start * size for start in starts]
+
+
+@compiled
+def _segments(values: Array, variance: float, cost: float) -> list[int]:
+    n = len(values)
+    sums = np.zeros(n + 1)
+    squares = np.zeros(n + 1)
+    for i in range(n):
+        sums[i + 1] = sums[i] + values[i]
+        squares[i + 1] = squares[i] + values[i] * values[i]
+    best = np.zeros(n + 1)
+    begins = np.zeros(n + 1, dtype=np.int64)
+    for end in range(1, n + 1):
+        least, where = np.inf, 0
+        for start in range(end):
+            total = sums[end] - sums[start]
+            spent = squares[end] - squares[start] - total * total / (end - start)
+            value = best[start] + 0.5 * spent / variance + cost
+            if value < least:
+                least, where = value, start
+        best[end], begins[end] = least, where
+    found = []
+    end = n
+    while begins[end] > 0:
+        end = begins[end]
+        found.append(end)
+    return found
+
+
+def best_line(score: Array, power: Array, basis: Basis) -> tuple[float, float]:
+    """Return the frequency [Hz] of the line that explains most, and what it gains [nats]."""
+    n, interval_s = len(score), basis.interval_s
+    spectrum = np.abs(np.fft.rfft(score, 2 * n)) ** 2
+    frequency = np.fft.rfftfreq(2 * n, interval_s)
+    place = np.clip((2.0 * frequency * n * interval_s).astype(np.int64), 0, n - 1)
+    gain = spectrum * power[np.searchsorted(basis.bounds[1:-1], place, "right")] / n
+    gain[frequency < _FEWEST_CYCLES / (0.5 * n * interval_s)] = 0.0
+    best = int(np.argmax(gain))
+    time_s = (np.arange(n) + 0.5) * interval_s
+    centre, step = float(frequency[best]), 0.25 / (n * interval_s)
+    for _ in range(5):
+        trials = [centre - step, centre, centre + step]
+        centre = trials[int(np.argmax([abs(np.exp(-2j * math.pi * f * time_s) @ score) for f in trials]))]
+        step *= 0.5
+    return centre, float(gain[best])

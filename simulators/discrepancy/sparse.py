@@ -1,0 +1,147 @@
+"""Structure that noise of a wide family has swallowed: a few steps and lines in quiet noise may explain it better.
+
+Noise of any colour takes whatever is there into its spectrum, a jump as well as a wave. But it spends evidence on every
+coefficient, and a structure that is simple spends it on a few: so what is left is described over again, in the noise
+in which nothing slow is random, by steps and lines taken one by one, each charged for the places it could have been.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.discrepancy.atoms import Steps, best_line, levels, score_of
+from simulators.discrepancy.candidates import Slot, to_cosine
+from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.whitening import STATED, NoiseFit
+
+Array = NDArray[np.float64]
+
+MARGIN = 9.0
+"""By how much [nats] the simpler description must be the better one."""
+_MOST = 60
+_ROUNDS = 3  # of levels and the noise about them
+_STEP_COST, _LINE_COST = 2.0, 4.0  # of amplitudes, beyond ln of the number of places
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """Steps before these samples as analysed, and lines [Hz], that explain a slot better than noise, by ``nats``."""
+
+    slot: Slot
+    steps: tuple[int, ...]
+    lines_hz: tuple[float, ...]
+    nats: float
+
+
+def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
+    """Return the slots whose noise, other than stated, is better taken for a few steps and lines."""
+    slots = [slot for slot in evidence.slots if fit.noise[slot].level != STATED]
+    found = [_of_slot(evidence, fit, slot) for slot in slots]
+    return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz)]
+
+
+def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Sparse:
+    trial = _Trial(evidence, fit, slot)
+    return max((_one_by_one(trial), _levels(trial)), key=lambda found: found.nats)
+
+
+class _Trial:
+    """What a slot's fit leaves, and what any set of steps and lines would make of it."""
+
+    def __init__(self, evidence: Evidence, fit: Fit, slot: Slot) -> None:
+        self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
+        self.spread = evidence.library.spread[slot]
+        self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
+        self._noise_alone = evidence.slot_value(slot, fit)
+        self._time_s = (np.arange(self.basis.n) + 0.5) * self.basis.interval_s
+        self.line_cost = math.log(self.basis.n) + _LINE_COST
+
+    def step(self, first: int) -> Array:
+        """Return the column (n, 1) of a step."""
+        return to_cosine((np.arange(self.basis.n) >= first) / self.spread)[:, None]
+
+    def line(self, hertz: float) -> Array:
+        """Return the columns (n, 2) of a line."""
+        phase = 2.0 * math.pi * hertz * self._time_s
+        return np.column_stack([to_cosine(np.cos(phase) / self.spread), to_cosine(np.sin(phase) / self.spread)])
+
+    def quiet(self, left: Array) -> NoiseFit:
+        """Return the noise of what is left if nothing slow is random."""
+        return self.evidence.quiet(self.slot, np.add.reduceat(left**2, self.basis.bounds[:-1]))
+
+    def step_cost(self, count: int, jump: float, quiet: NoiseFit) -> float:
+        """Return what one of ``count`` steps of such a size [y] costs [nats].
+
+        That is its amplitude and its place: any ``count`` of the samples, as far as they can be told apart.
+        """
+        noise = float(np.median(quiet.power))
+        alike = max(1.0, 4.0 * noise / max(jump**2, 1e-300))
+        return math.log(max(self.basis.n / (count * alike), 1.0)) + 1.0 + _STEP_COST
+
+    def found(
+        self, left: Array, quiet: NoiseFit, steps: Sequence[int], jumps: Sequence[float], lines: Sequence[float]
+    ) -> Sparse:
+        """Return what is described, and by how much better than by noise alone."""
+        cost = sum(self.step_cost(len(steps), jump, quiet) for jump in jumps) + len(lines) * self.line_cost
+        nats = self.evidence.noise_value(self.slot, quiet, left) - cost - self._noise_alone
+        return Sparse(self.slot, tuple(steps), tuple(lines), nats)
+
+
+def _one_by_one(trial: _Trial) -> Sparse:
+    """Take the step or line that explains most, then the next."""
+    places = Steps(trial.basis, trial.spread)
+    columns = np.empty((trial.basis.n, 0))
+    left, quiet = trial.whole, trial.quiet(trial.whole)
+    steps: list[int] = []
+    lines: list[float] = []
+    best = trial.found(left, quiet, steps, [], lines)
+    while columns.shape[1] < _MOST:
+        score = score_of(left, quiet.power, trial.basis, trial.spread)
+        first, step_gain = places.best(score, quiet.power)
+        hertz, line_gain = best_line(score, quiet.power, trial.basis)
+        gained = step_gain - trial.step_cost(1, math.inf, quiet), line_gain - trial.line_cost
+        if max(gained) < 0.0:
+            break
+        if gained[0] > gained[1]:
+            steps.append(first)
+            added = trial.step(first)
+        else:
+            lines.append(hertz)
+            added = trial.line(hertz)
+        columns = np.column_stack([columns, added])
+        left, _ = _without(trial.whole, columns, quiet, trial.basis.counts)
+        quiet = trial.quiet(left)
+        certain = [math.inf] * len(steps)
+        best = max(best, trial.found(left, quiet, steps, certain, lines), key=lambda one: one.nats)
+    return best
+
+
+def _levels(trial: _Trial) -> Sparse:
+    """Take what is left for constant levels."""
+    left, quiet = trial.whole, trial.quiet(trial.whole)
+    cost = trial.step_cost(1, math.inf, quiet)
+    steps: list[int] = []
+    jumps: list[float] = []
+    for _ in range(_ROUNDS):
+        steps = levels(trial.whole, quiet.power, trial.basis, trial.spread, cost)[:_MOST]
+        columns = np.column_stack([trial.step(first) for first in (*steps, 0)])
+        left, sizes = _without(trial.whole, columns, quiet, trial.basis.counts)
+        jumps = sizes[: len(steps)].tolist()
+        quiet = trial.quiet(left)
+        cost = max((trial.step_cost(len(steps), jump, quiet) for jump in jumps), default=cost)
+    return trial.found(left, quiet, steps, jumps, [])
+
+
+def _without(whole: Array, columns: Array, noise: NoiseFit, counts: Array) -> tuple[Array, Array]:
+    """Return what columns leave, by least squares weighted by the noise, and their amplitudes."""
+    weight = np.repeat(1.0 / noise.power, counts.astype(np.int64))
+    gram = columns.T @ (columns * weight[:, None])
+    scale = np.sqrt(np.diag(gram))
+    right = columns.T @ (weight * whole) / scale
+    sizes = np.linalg.lstsq(gram / np.outer(scale, scale), right, rcond=1e-10)[0] / scale
+    return np.asarray(whole - columns @ sizes), np.asarray(sizes)
