@@ -453,10 +453,9 @@ class _Draft:
         return out, stamps
 
     def _swayed(self, inputs: np.ndarray) -> np.ndarray:
-        """Inputs with the mount's small angles, larger while the table turns."""
+        """Inputs with the mount's small angles, of which the stated level is the mean."""
         world, (sigma, constant) = self.world, self.sway
         psi = np.column_stack([sway(self.rng, world.count + 1, world.dt, sigma, constant) for _ in range(3)])
-        psi -= psi[0]
         dv, dtheta = np.zeros((world.count, 3)), np.zeros((world.count, 3))
         C = increments(world.setup, world.edges)[2]
         add_sway(dv, dtheta, C, psi, world.setup.gravity, world.dt)
