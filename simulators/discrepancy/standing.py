@@ -25,6 +25,7 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
+_FREE_SHARE = 0.5  # of a white noise of which a model knows the size about
 
 
 @dataclass(frozen=True)
@@ -45,17 +46,20 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         came = np.flatnonzero(~missing[:, column])
         increment = data.sent[came, column]
         off = (scene.measured[came, column] - scene.predicted[came, column]) * interval[came]
-        for first, last in _standing(increment, off):
+        white = getattr(scene.model.noise, channel).white * (_FREE_SHARE if scene.model.noise.free else 1.0)
+        most = white * math.sqrt(scene.seen.interval_s) or math.inf
+        for first, last in _standing(increment, off, most):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
             found.append(Stuck(channel, float(data.edges_s[start]), float(data.edges_s[end + 1] - data.edges_s[start])))
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
+def _standing(increment: Array, off: Array, most: float) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``off`` is by how much each increment is off the prediction.
+    ``off`` is by how much each increment is off the prediction; ``most``: the white noise of a sample by the model, for
+    what goes on slowly beside it does not break runs.
     """
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
@@ -67,7 +71,7 @@ def _standing(increment: Array, off: Array) -> list[tuple[int, int]]:
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
-    longest = max(_longest_by_rounding(fast / step, same.size), _longest_by_custom(lengths, same.size))
+    longest = max(_longest_by_rounding(min(fast, most) / step, same.size), _longest_by_custom(lengths, same.size))
     found = []
     for a, b in zip(first, last, strict=True):
         if b - a < _SHORTEST_RUN or increment[a] == 0.0:  # a dead band stands at zero and is no stuck register
