@@ -40,7 +40,7 @@ DELAY_SAMPLES = (0.03, 0.5, 2.0, 6.0, 20.0)
 """Sizes at which a delay, and what a false clock amounts to at the end, are taken as a chord."""
 FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
-EXTREME, THINNED = 300, 10
+EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
@@ -309,8 +309,8 @@ class Library:
         if not 0.0 < sigma < math.inf:
             return []
         levels = 2.0 * sigma * np.unique(np.round(np.quantile(inputs, np.linspace(0.0, 1.0, 31)) / (2.0 * sigma)))
-        near = (levels[:, None] + sigma * np.linspace(-4.0, 4.0, 13)).ravel()
-        tried = np.unique(np.concatenate([np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 60), near[near > 0.0]]))
+        near = (levels[:, None] + sigma * np.linspace(-4.0, 4.0, 9)).ravel()
+        tried = np.unique(np.concatenate([np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 40), near[near > 0.0]]))
         sigmas = np.sqrt([weight @ effect.mean_change(inputs, sigma, {name: size}) ** 2 for size in tried]) / sigma
         wanted = FELT_SIGMA * FELT_RATIO ** np.arange(FELT_SIZES)
         places = {

@@ -107,7 +107,7 @@ class Evidence:
         self.floor[slot] = basis.stated(noise.__class__(), lsb)
         measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
         self.stated[slot] = basis.stated(noise, lsb, (measured, predicted)) if declared else None
-        if not declared and math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
+        if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
             basis = basis.rounded(noise, (measured, predicted))
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
             basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))

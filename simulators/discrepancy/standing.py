@@ -72,10 +72,10 @@ def _standing(increment: Array, off: Array, most: float) -> list[tuple[int, int]
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     longest = max(_longest_by_rounding(min(fast, most) / step, same.size), _longest_by_custom(lengths, same.size))
+    candidate = (lengths >= _SHORTEST_RUN) & (increment[first] != 0.0)  # a dead band stands at zero, and is not stuck
+    candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     found = []
-    for a, b in zip(first, last, strict=True):
-        if b - a < _SHORTEST_RUN or increment[a] == 0.0:  # a dead band stands at zero and is no stuck register
-            continue
+    for a, b in zip(first[candidate], last[candidate], strict=True):
         astray = _astray(off, int(a), int(b), step, noise)
         if b - a >= longest or astray > (_ASTRAY if b - a >= _SHORT_RUN else _FAR_ASTRAY):
             found.append((int(a) + 1, int(b)))
@@ -116,6 +116,18 @@ def _longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
     beyond = lengths[lengths >= tail] - tail
     mean = max(float(np.median(beyond)) / math.log(2.0), 1.0 / math.log(size))
     return tail + mean * math.log(max(beyond.size, 1) / _CHANCE)
+
+
+def _may_be_astray(
+    off: Array, first: NDArray[np.int64], last: NDArray[np.int64], step: float, noise: float
+) -> NDArray[np.bool_]:
+    """Return which runs :func:`_astray` is worth asking for: no other could pass."""
+    sums = np.concatenate([[0.0], np.cumsum(off)])
+    low, high = np.maximum(first - _ASIDE, 0), np.minimum(last + 1 + _ASIDE, off.size)
+    run = sums[last + 1] - sums[first + 1]
+    count = last - first
+    beside = (sums[high] - sums[low] - run) / np.maximum(high - low - count, 1)
+    return np.asarray(np.abs(run - count * beside) - 2.0 * step > 0.5 * _ASTRAY * noise * np.sqrt(count))
 
 
 def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
