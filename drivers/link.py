@@ -34,7 +34,7 @@ IDLE_S = 0.02
 """How often [real s] an idle line is looked at for having been replaced."""
 WRITE_TIMEOUT_S = 1.0
 """How long [real s] the line may refuse bytes to be sent."""
-BATCH_S = 0.02
+BATCH_S = 0.04
 """No batch follows another sooner than this [real s]: a batch costs about as much with a hundred samples as with one,
 arrivals are stamped before they wait here, and nobody above looks more often than twenty times a second."""
 BACK_OFF_S = (0.1, 2.0)

@@ -35,7 +35,8 @@ from drivers.samples import SampleArray
 from drivers.timebase import Timebase
 from inertial.documents import StageTerms
 from service.config import LinkSettings
-from service.sequencer import LineView, Question
+from service.orders import Question
+from service.sequencer import LineView
 
 log = structlog.get_logger()
 

@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +17,26 @@ import structlog
 
 from drivers.timebase import Timebase
 from inertial.documents import BlockModel, Noise, Result, parse_document
+from service import motion_watch
 from service.acquisition import Acquisition, Line
 from service.conditions import Board, CannotAcknowledge
 from service.conditions.gather import Gatherer
 from service.config import BlockSettings, ReferenceSettings, SequenceSettings, Settings
 from service.discrepancy_desk import DiscrepancyDesk
+from service.estimation import RunPlan
 from service.events import EventHub
 from service.lease import Lease, LeaseDesk, LeaseHeld
 from service.logs import correlate
 from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
-from service.recovery import recover
+from service.orders import Reply
 from service.run_folder import RunFolder
 from service.security.tokens import Tokens
-from service.sequencer import LineView, NotAllowed, Reply, Sequencer
+from service.sequencer import LineView, NotAllowed, Sequencer
 from service.states import Name
 from service.store import RunRecord, Store, TransitionRecord, utc_now
 from service.thinning import Thinner
-from service.warm_up import warm_up
-from service.worker import RunPlan, Worker
+from service.worker import Worker
 
 log = structlog.get_logger()
 
@@ -103,8 +103,11 @@ class Controller:
         self.models = ModelChoice(settings.block.model, beside.with_name(beside.stem + "-models"))
         self.desk = DiscrepancyDesk(settings, self.store, self.hub, self.models, self.folder, self._busy)
         left = self.store.last_transition()
-        self.interrupted = self.store.abort_interrupted()
-        at, reason, run_id = _begin_at(left, self.interrupted)
+        interrupted = self.store.abort_interrupted()
+        # The last run may have ended, and its process been killed before the recording was written.
+        last = left["run_id"] if left is not None else None
+        self._to_recover = dict.fromkeys([*interrupted, *([last] if last is not None else [])])
+        at, reason, run_id = _begin_at(left, interrupted)
         correlate(run_id)
         self._sequencer = Sequencer(
             _patience(settings.sequence, self.timebase),
@@ -134,13 +137,13 @@ class Controller:
 
     def start(self) -> None:
         """Open the line and begin to watch."""
-        warm_up()
+        self._worker.start()  # whose process gets ready while this one does
+        motion_watch.prepare()
         self._recorder.start()
-        self._worker.start()
         self._gatherer.start()
         self.tokens.start()
-        for run_id in self.interrupted:
-            self._worker.submit(partial(recover, RunFolder(self.settings.store.runs, run_id), self.settings))
+        for run_id in self._to_recover:
+            self._worker.recover(RunFolder(self.settings.store.runs, run_id))
         self._acquisition.start()
         self.desk.jobs.start_working()
 
@@ -331,7 +334,9 @@ class Controller:
         folder = RunFolder(self.settings.store.runs, record.id)
         block = self._block()
         folder.make(block)
-        self._worker.plan(record.id, RunPlan(record.method, self._reference(request), folder, block))
+        self._worker.plan(
+            record.id, RunPlan(record.method, self.settings.site, self._reference(request), folder, block)
+        )
         with self._lock:
             self._sequencer.check("start")
             if self.line is not None:

@@ -103,7 +103,7 @@ class Discrepancies:
             self._stopping = True
             process = self._process
         if process is not None:
-            process.terminate()
+            process.kill()
         self._waiting.put(None)
         if self._thread.is_alive():
             self._thread.join(2 * STOP_S)
@@ -182,7 +182,7 @@ class Discrepancies:
                 return
             self._process = subprocess.Popen(
                 [*command, *job.recordings],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,  # never written to: it ends with this process, and the job's with it
                 stdout=subprocess.PIPE,
                 text=True,
                 env={**os.environ, **single},

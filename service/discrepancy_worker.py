@@ -6,15 +6,19 @@ Tells each step as a line of JSON on standard output, at last the verdict and th
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
+from service.subordinate import subordinate
+
+NICENESS = 10
+"""It has hours: everything else goes before."""
+
 
 def main(model: str, out: str, *recordings: str) -> int:
     """Run the workflow; return 0, or 2 where a recording or the model was refused."""
-    os.nice(10)
+    subordinate(NICENESS)
     from drivers.recording import RecordingError, read_recording
     from inertial.documents import DocumentError
     from simulators.discrepancy.report import discrepancy

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import secrets
 import threading
 from collections import deque
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from typing import Any
 
 QUEUE_EVENTS = 256
 KEPT_EVENTS = 2_048
 HEARTBEAT_S = 10.0
+
+
+def text_of(facts: dict[str, Any]) -> str:
+    """Return the facts of an event as they are sent."""
+    return json.dumps(facts, separators=(",", ":"))
 
 
 @dataclass(frozen=True)
@@ -24,6 +31,11 @@ class Event:
     number: int
     kind: str
     data: dict[str, Any]
+
+    @cached_property
+    def text(self) -> str:
+        """The facts as JSON, made once for all who are told."""
+        return text_of(self.data)
 
 
 class _Client:
@@ -38,6 +50,11 @@ class _Client:
         self.dropped += len(self.waiting) == QUEUE_EVENTS
         self.waiting.append(event)
         self.ready.set()
+
+
+def _put(clients: list[_Client], event: Event) -> None:
+    for client in clients:
+        client.put(event)
 
 
 class EventHub:
@@ -63,13 +80,15 @@ class EventHub:
 
     def publish(self, kind: str, data: dict[str, Any]) -> None:
         """Give an event to every subscriber; never waits for one."""
+        of_loop: dict[asyncio.AbstractEventLoop, list[_Client]] = {}
         with self._lock:
-            clients = list(self._clients)
+            for client in self._clients:
+                of_loop.setdefault(client.loop, []).append(client)
             event = Event(next(self._numbers), kind, data)
             self._kept.append(event)
-        for client in clients:
-            with suppress(RuntimeError):  # its loop has closed
-                client.loop.call_soon_threadsafe(client.put, event)
+        for loop, clients in of_loop.items():  # to wake a loop is a system call, and the line's reader is who pays it
+            with suppress(RuntimeError):  # it has closed
+                loop.call_soon_threadsafe(_put, clients, event)
 
     async def subscribe(self, heartbeat_s: float = HEARTBEAT_S, after: str | None = None) -> AsyncGenerator[Event]:
         """Yield events as they come, and a ``heartbeat`` (with how many were dropped) when none came for a while.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from drivers.samples import SampleArray
 from inertial.documents import Noise
 from inertial.standstill import StillnessDetector, learn_noise
 from service.buffer import SampleBuffer
+from service.made_up_rest import made_up_rest
 
 LEARN_S = 15.0
 """How much of a run's beginning (settling) shows the block's noise, where no model tells it."""
@@ -64,3 +67,12 @@ class MotionWatch:
             return
         noise = learn_noise(rows["dv"][1:], rows["dtheta"][1:], interval_s)
         self._detector, self._seen = StillnessDetector(noise), SampleBuffer()
+
+
+@cache
+def prepare() -> None:
+    """Make compiled code ready, once a process; takes seconds where it never was compiled."""
+    watch, rest = MotionWatch(), made_up_rest(3 * LEARN_S)
+    half = len(rest) // 2
+    watch.feed(rest[:half])  # learns the noise
+    watch.feed(rest[half:])  # watches

@@ -15,7 +15,7 @@ from drivers.recording_meta import BlockMeta, ReferenceMeta, SiteMeta, TurnMeta,
 from drivers.samples import SampleArray
 from inertial.documents import WindowRecord
 from service.config import BlockSettings, ReferenceSettings, SiteSettings
-from service.sequencer import MeasuredTurn
+from service.orders import MeasuredTurn
 
 
 class RunFolder:
@@ -54,9 +54,7 @@ class RunFolder:
     def write_recording(self, samples: SampleArray, meta: RecordingMeta) -> Recording:
         """Write the recording and return it as it stands in memory, equal to what reading it gives."""
         path = write_recording(self.recording, samples, meta)
-        rows = samples.copy()
-        rows.flags.writeable = False
-        return Recording(samples=rows, meta=meta, path=path, meta_path=path.with_suffix(".toml"))
+        return Recording(samples=samples, meta=meta, path=path, meta_path=path.with_suffix(".toml"))
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -23,6 +23,7 @@ from service.attitude_watch import AttitudeChange, AttitudeWatch
 from service.buffer import SampleBuffer, frames_lost
 from service.config import SequenceSettings
 from service.monitors import DPH_RADPS, MG_MPS2, OVERRANGE, FlagMonitor, Settled, SettlingMonitor, StuckMonitor
+from service.orders import AskBlock, Conclude, Estimate, Keep, MeasuredTurn, Order, Question, Reply
 from service.states import OPERATOR_COMMANDS, PATH, RESUMABLE, WINDOWS, Name, TrimStates
 from service.store import TransitionRecord, utc_now
 from service.windows import INERTIAL_ALIGN_S
@@ -50,74 +51,6 @@ class Stillness(Protocol):
 
     def reset(self) -> None:
         """Forget what was learnt: the data that follow do not continue the old ones."""
-
-
-Question = Literal["identity", "read", "start", "self_test", "write", "read_back"]
-
-
-@dataclass(frozen=True)
-class AskBlock:
-    """Have the block asked; the reply carries the same token."""
-
-    token: int
-    what: Question
-    terms: StageTerms | None = None
-
-
-@dataclass(frozen=True)
-class MeasuredTurn:
-    """A turn of the block between two windows, as gyros and accelerometers measured it (rotation vector, body)."""
-
-    start_s: float
-    end_s: float
-    rotation_rad: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Have the windows estimated, for progress or (``final``) as the run's result."""
-
-    token: int
-    run_id: str
-    windows: tuple[WindowRecord, ...]
-    turns: tuple[MeasuredTurn, ...]
-    samples: SampleArray
-    final: bool
-
-
-@dataclass(frozen=True)
-class Conclude:
-    """Have the result kept as the run's, with the state that the run ends in and why; READY waits for the reply."""
-
-    token: int
-    run_id: str
-    state: Literal["READY", "FAULT"]
-    reason: str
-    result: Result
-
-
-@dataclass(frozen=True)
-class Keep:
-    """Have the samples of a run that ends without a result kept as its recording."""
-
-    run_id: str
-    windows: tuple[WindowRecord, ...]
-    turns: tuple[MeasuredTurn, ...]
-    samples: SampleArray
-
-
-Order = AskBlock | Estimate | Conclude | Keep
-
-
-@dataclass(frozen=True)
-class Reply:
-    """What became of an order. ``unsupported``: the block's protocol has no such question."""
-
-    token: int
-    what: str
-    value: Any = None
-    error: str | None = None
-    unsupported: bool = False
 
 
 @dataclass(frozen=True)

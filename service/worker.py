@@ -1,48 +1,41 @@
-"""Does what the sequencer orders and takes long: asks the block, estimates, writes files. One thread, in order."""
+"""Does what the sequencer orders and takes long: asks the block, and has a side process estimate and write files."""
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import structlog
 
 from drivers.commands import CommandError
 from drivers.protocols.base import ProtocolError
-from drivers.recording import Recording, RecordingError, RecordingMeta
-from inertial.documents import DocumentError, StageTerms
+from inertial.documents import StageTerms
 from service.acquisition import Line
-from service.compensate import compensate, partial
-from service.config import BlockSettings, ReferenceSettings, Settings
-from service.errors import RefusedInput
-from service.report import render
-from service.run_folder import RunFolder, recording_meta, write_whole
-from service.sequencer import AskBlock, Conclude, Estimate, Keep, Order, Reply
+from service.config import Settings
+from service.estimation import RunPlan, final_result, keep_recording, prepare, terms_so_far, write_result
+from service.lane import Lane
+from service.orders import AskBlock, Conclude, Estimate, Keep, Order, Reply
+from service.recovery import recover
+from service.run_folder import RunFolder
+from service.side_process import ProcessDied, SideProcess
 from service.store import Store
 
 log = structlog.get_logger()
 
 FACTS = {"identity": "identity", "read": "previous_terms"}
 """Questions whose answers belong to the run: who the block is, and the terms it held before."""
-REFUSALS = (RecordingError, DocumentError, RefusedInput, ValueError, OSError)
 
 
-@dataclass(frozen=True)
-class RunPlan:
-    """What a run was asked to do."""
-
-    method: str
-    reference: ReferenceSettings
-    folder: RunFolder
-    block: BlockSettings
+Piece = Order | Callable[[], object]
 
 
 class Worker:
-    """Takes orders from a queue and gives each its reply.
+    """Takes orders and gives each its reply: questions to the block in one lane, all else in another.
+
+    So nobody who asks the block waits for an estimate or a disk. What the one lane needs of the other, the sequencer
+    orders only after the reply.
 
     Parameters
     ----------
@@ -51,7 +44,7 @@ class Worker:
     line
         To the block; None without one.
     reply
-        Called from this thread with what became of each order.
+        Called from a lane's thread with what became of each order.
     is_wanted
         Whether anybody still waits for orders of a token; the others are passed over.
     conditions
@@ -69,59 +62,72 @@ class Worker:
     ) -> None:
         self._settings, self._store, self._line, self._reply = settings, store, line, reply
         self._is_wanted, self._conditions = is_wanted, conditions
-        self._orders: queue.SimpleQueue[Order | Callable[[], None] | None] = queue.SimpleQueue()
         self._plans: dict[str, RunPlan] = {}
         self._run_id: str | None = None
         self._facts: dict[str, Any] = {}
-        self._begun_s: float | None = None
-        self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+        self._side = SideProcess(partial(prepare, settings.log))
+        self._questions: Lane[Piece] = Lane("questions", self._do)
+        self._work: Lane[Piece] = Lane("worker", self._do)
 
     def start(self) -> None:
         """Begin to work."""
-        self._thread.start()
+        self._side.start()
+        self._questions.start()
+        self._work.start()
 
-    def stop(self, timeout_s: float = 10.0) -> None:
-        """Finish what was ordered, then end."""
-        self._orders.put(None)
-        self._thread.join(timeout_s)
+    def stop(self, timeout_s: float = 20.0) -> None:
+        """Finish what was ordered, then end; after ``timeout_s`` [real s] end without."""
+        end_s = time.monotonic() + timeout_s
+        lanes = (self._questions, self._work)
+        for lane in lanes:
+            lane.finish()
+        for lane in lanes:
+            lane.join(max(end_s - time.monotonic(), 0.0))
+        self._side.stop()
 
     def plan(self, run_id: str, plan: RunPlan) -> None:
         """Say what a run is to do, before its first order comes."""
-        self.submit(lambda: self._take_plan(run_id, plan))
+        self._questions.submit(lambda: self._ask_for(run_id))
+        self._work.submit(lambda: self._plan_for(run_id, plan))
 
-    def _take_plan(self, run_id: str, plan: RunPlan) -> None:
-        self._plans, self._run_id, self._facts = {run_id: plan}, run_id, {}
+    def _ask_for(self, run_id: str) -> None:
+        self._run_id, self._facts = run_id, {}
+
+    def _plan_for(self, run_id: str, plan: RunPlan) -> None:
+        self._plans = {run_id: plan}
+
+    def recover(self, folder: RunFolder) -> None:
+        """Have the recording of an interrupted run made of its capture."""
+        known = self._settings
+        self.submit(lambda: self._side.call(recover, folder, known.link, known.site, known.block, known.reference))
 
     @property
     def waiting(self) -> int:
         """How many orders wait."""
-        return self._orders.qsize()
+        return self._questions.waiting + self._work.waiting
 
     @property
     def busy_s(self) -> float:
-        """How long [real s] the piece of work in hand has taken so far, 0 without one."""
-        begun_s = self._begun_s
-        return time.monotonic() - begun_s if begun_s is not None else 0.0
+        """How long [real s] the longest piece of work in hand has taken so far, 0 without one."""
+        return max(self._questions.busy_s, self._work.busy_s)
 
-    def submit(self, order: Order | Callable[[], None]) -> None:
-        """Queue an order, or any piece of work that must keep its place among them."""
-        self._orders.put(order)
+    def submit(self, piece: Piece) -> None:
+        """Queue an order, or any work that must keep its place among those that write files."""
+        lane = self._questions if isinstance(piece, AskBlock) else self._work
+        lane.submit(piece)
 
-    def _work(self) -> None:
-        while (order := self._orders.get()) is not None:
-            self._begun_s = time.monotonic()
-            try:
-                if callable(order):
-                    order()
-                elif isinstance(order, Keep) or self._is_wanted(order.token):
-                    self._do(order)
-            except Exception:
-                log.exception("worker", order=type(order).__name__)
-                if isinstance(order, AskBlock | Estimate | Conclude):
-                    self._reply(Reply(order.token, _what(order), error="a fault of the program; its log tells more"))
-            self._begun_s = None
+    def _do(self, piece: Piece) -> None:
+        try:
+            if callable(piece):
+                piece()
+            elif isinstance(piece, Keep) or self._is_wanted(piece.token):
+                self._obey(piece)
+        except Exception:
+            log.exception("worker", order=type(piece).__name__)
+            if isinstance(piece, AskBlock | Estimate | Conclude):
+                self._reply(Reply(piece.token, _what(piece), error="a fault of the program; its log tells more"))
 
-    def _do(self, order: Order) -> None:
+    def _obey(self, order: Order) -> None:
         try:
             if isinstance(order, AskBlock):
                 self._reply(Reply(order.token, order.what, self._ask(order)))
@@ -131,10 +137,10 @@ class Worker:
                 self._conclude(order)
                 self._reply(Reply(order.token, "conclude"))
             else:
-                self._keep(order)
+                self._side.call(keep_recording, self._plans[order.run_id], order)
         except ProtocolError as error:
             self._reply(Reply(_token(order), _what(order), error=str(error), unsupported=True))
-        except (CommandError, *REFUSALS) as error:
+        except (CommandError, ProcessDied, ValueError, OSError) as error:
             log.warning("order failed", order=_what(order), error=str(error))
             self._reply(Reply(_token(order), _what(order), error=str(error)))
 
@@ -154,19 +160,8 @@ class Worker:
     # ------------------------------------------------------------------ estimates and files
 
     def _estimate(self, order: Estimate) -> None:
-        plan = self._plans[order.run_id]
-        meta = self._meta(plan, order)
-        if order.final:
-            recording = plan.folder.write_recording(order.samples, meta)
-            self._reply(Reply(order.token, "final", compensate(recording, method=plan.method)))
-            return
-        path = plan.folder.recording  # where the windows so far would stand; nothing is written for progress
-        recording = Recording(samples=order.samples, meta=meta, path=path, meta_path=path.with_suffix(".toml"))
-        self._reply(Reply(order.token, "partial", partial(recording, order.windows, method=plan.method)))
-
-    def _meta(self, plan: RunPlan, order: Estimate | Keep) -> RecordingMeta:
-        site = self._settings.site
-        return recording_meta(site, plan.block, plan.reference, order.samples, order.windows, order.turns)
+        what, work = ("final", final_result) if order.final else ("partial", terms_so_far)
+        self._reply(Reply(order.token, what, self._side.call(work, self._plans[order.run_id], order)))
 
     def _conclude(self, order: Conclude) -> None:
         folder = self._plans[order.run_id].folder
@@ -184,16 +179,8 @@ class Worker:
                 "conditions": {**order.result.conditions, "go_no_go": self._conditions()},
             }
         )
-        document = result.canonical_json()
-        write_whole(folder.result, document)
-        write_whole(folder.report, render(result))
+        document = self._side.call(write_result, folder, result)
         self._store.save_result(order.run_id, document, result.verdict)
-
-    def _keep(self, order: Keep) -> None:
-        if len(order.samples) > 1:
-            plan = self._plans[order.run_id]
-            meta = self._meta(plan, order)
-            plan.folder.write_recording(order.samples, meta)
 
 
 def _token(order: Order) -> int:

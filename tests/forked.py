@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO
 
 FORKSERVER = multiprocessing.get_context("forkserver")
-FORKSERVER.set_forkserver_preload(["service.cli", "service.main", "service.warm_up"])
+FORKSERVER.set_forkserver_preload(["service.cli", "service.main"])
 
 
 class _Stream:

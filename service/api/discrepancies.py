@@ -19,6 +19,7 @@ from service.api.stream import DOCUMENTED, EventStream, Message
 from service.controller import Controller
 from service.discrepancies import OVER, DiscrepancyKeyReused, Job, TooManyDiscrepancies, UnknownDiscrepancy, progress_of
 from service.discrepancy_desk import REFUSALS, RunInHand, UnknownInput
+from service.events import text_of
 
 router = APIRouter(tags=["discrepancies"])
 BASE = "/api/v1/discrepancies"
@@ -166,15 +167,15 @@ def follow_discrepancy(job_id: JobId, controller: ControllerHere) -> Response:
 async def _progress(controller: Controller, job_id: str) -> AsyncGenerator[Message]:
     async with aclosing(controller.hub.subscribe()) as stream:
         facts = progress_of(_known(controller, job_id))
-        yield Message("discrepancy", facts, retry_ms=2_000)
+        yield Message("discrepancy", text_of(facts), retry_ms=2_000)
         while facts["state"] not in OVER:
             event = await anext(stream)
             if event.kind == "heartbeat":
-                yield Message("heartbeat", event.data)
+                yield Message("heartbeat", event.text)
                 facts = progress_of(controller.desk.jobs.job(job_id))  # one that ended before we subscribed
             elif event.kind == "discrepancy" and event.data["id"] == job_id:
                 facts = event.data
-                yield Message("discrepancy", facts)
+                yield Message("discrepancy", event.text)
 
 
 @router.post("/models/adopt", responses=responses(400, 404, 409, 413, 422, 503))

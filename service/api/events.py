@@ -16,7 +16,7 @@ from service.controller import Controller
 router = APIRouter(tags=["events"])
 
 
-def room_for_one(controller: ControllerHere) -> None:
+async def room_for_one(controller: ControllerHere) -> None:
     """Refuse one stream too many before it begins."""
     limit = controller.settings.http.event_clients
     if len(controller.hub) >= limit:
@@ -49,14 +49,14 @@ async def _messages(
     controller: Controller, after: str | None, limit: int | None, valid: Callable[[], bool]
 ) -> AsyncGenerator[Message]:
     hub, sent = controller.hub, 1
-    yield Message("status", controller.status().facts, retry_ms=1_000)
+    yield Message("status", controller.status().body.decode(), retry_ms=1_000)
     if sent == limit:
         return
     async with aclosing(hub.subscribe(after=after)) as stream:
         async for event in stream:
             if not valid():
                 return
-            yield Message(event.kind, event.data, hub.id_of(event))
+            yield Message(event.kind, event.text, hub.id_of(event))
             sent += 1
             if sent == limit:
                 return

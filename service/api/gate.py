@@ -6,6 +6,7 @@ import asyncio
 import ipaddress
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
@@ -109,8 +110,7 @@ class Access:
     def _strange(self, method: str, headers: dict[bytes, bytes]) -> str | None:
         """Return why a request seems to come from another site's page; None where it does not."""
         host = headers.get(b"host", b"").decode("latin-1")
-        name = urlsplit(f"//{host}").hostname or ""
-        if self._open_house and not (is_loopback(name) or name == self._http.host.strip("[]")):
+        if self._open_house and not self._is_ours(host):
             return f"{host!r} is not an address of this service, which listens on {self._http.host} alone."
         if method in READING:
             return None
@@ -120,6 +120,18 @@ class Access:
         if headers.get(b"sec-fetch-site", b"same-origin") not in (b"same-origin", b"none"):
             return "A page of another site may not command this service."
         return None
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a ``Host`` header names this service, which listens for this machine alone."""
+        name, loopback = _name_in(host)
+        return loopback or name == self._http.host.strip("[]")
+
+
+@lru_cache(maxsize=256)
+def _name_in(host: str) -> tuple[str, bool]:
+    """Return the name in a ``Host`` header, and whether it is this machine's own."""
+    name = urlsplit(f"//{host}").hostname or ""
+    return name, is_loopback(name)
 
 
 class Gate:

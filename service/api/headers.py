@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 # Styles may stand in the page: plotly.js sets some as it draws. Scripts may not, wherever they come from but here.
@@ -12,14 +11,19 @@ POLICY = (
 )
 DOCUMENT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; frame-ancestors 'self'"
 """Reports are pages by themselves, with no scripts."""
-ALWAYS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "SAMEORIGIN",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
+ALWAYS = [
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"SAMEORIGIN"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+]
+OF_PAGES = [*ALWAYS, (b"content-security-policy", POLICY.encode())]
+OF_DOCUMENTS = [*ALWAYS, (b"content-security-policy", DOCUMENT_POLICY.encode())]
+NO_STORE = (b"cache-control", b"no-store")
+"""Where a route says nothing of its own."""
 ONE_YEAR_S = 31_536_000
+SECURE = (b"strict-transport-security", f"max-age={ONE_YEAR_S}".encode())
 
 
 class SecurityHeaders:
@@ -36,13 +40,14 @@ class SecurityHeaders:
 
         async def sending(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in ALWAYS.items():
-                    headers[name] = value
-                if scope["scheme"] == "https":
-                    headers["Strict-Transport-Security"] = f"max-age={ONE_YEAR_S}"
-                headers["Content-Security-Policy"] = DOCUMENT_POLICY if scope["path"].endswith("/report") else POLICY
-                headers.setdefault("Cache-Control", "no-store")
+                headers = message["headers"] = [*message.get("headers", ()), *_added(scope)]
+                if not any(name == NO_STORE[0] for name, _ in headers):
+                    headers.append(NO_STORE)
             await send(message)
 
         await self._app(scope, receive, sending)
+
+
+def _added(scope: Scope) -> list[tuple[bytes, bytes]]:
+    headers = OF_DOCUMENTS if scope["path"].endswith("/report") else OF_PAGES
+    return [*headers, SECURE] if scope["scheme"] == "https" else headers

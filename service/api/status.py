@@ -21,10 +21,10 @@ probes = APIRouter(tags=["probes"])
     responses={304: {"description": "Not changed since that ETag"}, **responses(422)},
 )
 async def read_status(
-    controller: ControllerHere, if_none_match: Annotated[str | None, Header(max_length=200)] = None
+    request: Request, if_none_match: Annotated[str | None, Header(max_length=200)] = None
 ) -> Response:
     """Tell the state now: made ahead, sent as it is."""
-    published = controller.status()
+    published = request.app.state.controller.status()
     headers = {"ETag": published.etag, "Cache-Control": "no-cache"}
     if if_none_match is not None and published.etag in if_none_match:
         return Response(status_code=304, headers=headers)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -19,16 +18,16 @@ HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 @dataclass(frozen=True)
 class Message:
-    """One event as it is sent; ``retry_ms`` tells a browser how soon to come back."""
+    """One event as it is sent, its facts as JSON; ``retry_ms`` tells a browser how soon to come back."""
 
     kind: str
-    data: dict[str, Any]
+    text: str
     id: str | None = None
     retry_ms: int | None = None
 
     def encoded(self) -> bytes:
         """Return the event's text."""
-        lines = [f"event: {self.kind}", f"data: {json.dumps(self.data, separators=(',', ':'))}"]
+        lines = [f"event: {self.kind}", f"data: {self.text}"]
         lines += [f"id: {self.id}"] if self.id is not None else []
         lines += [f"retry: {self.retry_ms}"] if self.retry_ms is not None else []
         return ("\n".join(lines) + "\n\n").encode()

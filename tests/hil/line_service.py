@@ -88,7 +88,7 @@ class Bench:
         return ledger
 
 
-def wait_for(condition: Callable[[], bool], shown: Callable[[], object], limit_s: float = 10.0) -> None:
+def wait_for(condition: Callable[[], bool], shown: Callable[[], object], limit_s: float = 60.0) -> None:
     """Wait (real seconds) for a condition."""
     end = time.monotonic() + limit_s
     while not condition():
@@ -136,7 +136,7 @@ class Console:
 
     def until_recorded(self, change: tuple[str, str, str]) -> None:
         """Wait until the store has a change."""
-        wait_for(lambda: change in self.changes(), self.changes, 60.0)
+        wait_for(lambda: change in self.changes(), self.changes)
 
     def kept_samples(self) -> SampleArray:
         """Return the samples of the run once they are on disk."""
@@ -203,7 +203,7 @@ class ServiceProcess:
         return self._end()
 
     def _end(self) -> int:
-        code = self.process.wait(20)
+        code = self.process.wait(60)
         self.client.close()
         self._log.close()
         return code

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pyarrow.parquet as pq
 import pytest
-from line_service import Bench, Console, ServiceProcess
+from line_service import Bench, Console, ServiceProcess, wait_for
 
 from service.processes import free_port
 from service.states import PATH
@@ -79,5 +79,9 @@ def test_a_fault_stays_a_fault_until_somebody_acknowledges(bench: Bench) -> None
     answer = service.client.post(f"/runs/{run_id}/acknowledge", json={"operator": "Ada", "reason": "sensor replaced"})
     assert answer.status_code == 202
     service.until("OFFLINE")
-    assert len(pq.read_table(io.BytesIO(service.client.get(f"/runs/{run_id}/samples").content))) > 500
+    # The kill may have come before the recording was written: then it is made of the capture, in its own time.
+    samples = f"/runs/{run_id}/samples"
+    wait_for(lambda: service.client.get(samples).status_code == 200, lambda: service.client.get(samples).text)
+    answer = service.client.get(samples)
+    assert len(pq.read_table(io.BytesIO(answer.content))) > 500
     assert service.terminate() == 0

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from drivers.samples import SampleArray, Status, empty_samples
 from inertial.documents import Noise, Result, Sigma, StageTerms
 from service.config import SequenceSettings
-from service.sequencer import AskBlock, Conclude, Estimate, Keep, LineView, Order, Reply, Sequencer
+from service.orders import AskBlock, Conclude, Estimate, Keep, Order, Reply
+from service.sequencer import LineView, Sequencer
 from service.states import Name
 
 RATE_HZ = 25.0

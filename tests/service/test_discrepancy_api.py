@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -121,3 +123,18 @@ def test_a_job_that_a_stop_cut_short_is_interrupted_and_says_so(tmp_path: Path) 
     assert detail["state"] == "interrupted"
     assert detail["report"] is None
     assert detail["ended"] is not None
+
+
+def test_the_process_of_a_job_ends_with_the_service_that_started_it(tmp_path: Path) -> None:
+    write_rest(tmp_path, "bench", seed=7, accel_z_mps2=SHIFT_MPS2)
+    save_model(believed_model(), tmp_path / "block.json")
+    module = [sys.executable, "-m", "service.discrepancy_worker"]
+    places = [str(tmp_path / name) for name in ("block.json", "out", "bench.parquet")]
+    job = subprocess.Popen([*module, *places], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert job.stdout is not None
+    assert job.stdin is not None
+    assert "share" in json.loads(job.stdout.readline())
+    job.stdin.close()  # as the kernel does for a service that is killed
+    assert job.wait(30) == 1
+    assert "verdict" not in job.stdout.read()
+    job.stdout.close()

@@ -9,7 +9,8 @@ from sequencer_bench import TERMS, Bench, result
 
 from drivers.samples import Status
 from inertial.documents import StageTerms
-from service.sequencer import NotAllowed, Reply
+from service.orders import Reply
+from service.sequencer import NotAllowed
 from service.states import PATH, RESUMABLE, WINDOWS, Name
 
 WINDOW_STEPS = list(WINDOWS)
