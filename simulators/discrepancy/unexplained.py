@@ -104,7 +104,7 @@ def judge(
     swallowed = [_swallowed(one) for one in find_sparse(search.evidence, search.fit)]
     unsteady = swallowed + [found for found in _unsteady(search) if found["channel"] not in silenced]
     for found in unsteady:
-        terms.append({"kind": "unsteady", **found})
+        terms.append(found)
         sensor, nats = str(found["channel"]), float(found["evidence_nats"])
         for a in named:
             if _mostly_on(gains[id(a)], sensor) and a.gain * MISFIT_SHARE < nats:
@@ -150,7 +150,8 @@ def _swallowed(one: Sparse) -> dict[str, Any]:
     """Return in words what a wide noise model had swallowed."""
     parts = [f"{len(one.steps)} jumps"] if one.steps else []
     parts += [f"lines at {', '.join(f'{hertz:.3g}' for hertz in sorted(one.lines_hz))} Hz"] if one.lines_hz else []
-    return {"channel": CHANNELS[one.slot[1]], "term": " and ".join(parts), "evidence_nats": one.nats}
+    text = " and ".join(parts)
+    return {"kind": "sparse", "channel": CHANNELS[one.slot[1]], "term": text, "evidence_nats": one.nats}
 
 
 def _unsteady(search: Search) -> list[dict[str, Any]]:
@@ -164,7 +165,10 @@ def _unsteady(search: Search) -> list[dict[str, Any]]:
         nats, when = _unsteadiness(search, slot)
         if nats > UNSTEADY_NATS:
             text = "what is left comes and goes"
-            found.append({"channel": CHANNELS[slot[1]], "term": text, "at_s": when, "evidence_nats": nats})
+            channel = CHANNELS[slot[1]]
+            found.append(
+                {"kind": "unsteady", "channel": channel, "term": text, "at_s": when, "evidence_nats": nats}
+            )
     return found
 
 

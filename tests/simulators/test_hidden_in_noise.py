@@ -1,0 +1,114 @@
+"""What hides in noise: readout effects smaller than it, jumps and waves that a wide noise model would swallow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
+
+from simulators.discrepancy.report import discrepancy
+from simulators.effects import get_effect
+from simulators.effects.base import SampleEffect
+
+GYRO_SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
+DRAWS = 40_000
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.5, 3.0])
+@pytest.mark.parametrize(("name", "parameter"), [("dead_band", "half_width"), ("saturation", "limit")])
+def test_mean_change_is_the_mean_of_what_becomes_of_noisy_readings(name: str, parameter: str, sigma: float) -> None:
+    """Against DRAWS simulated readings: within 5σ of their mean, of which 14 are looked at."""
+    effect, values = get_effect(name), {parameter: 1.0}
+    assert isinstance(effect, SampleEffect)
+    rng = np.random.default_rng(5)
+    for reading in (-2.1, -1.0, -0.3, 0.0, 0.7, 1.02, 1.9):
+        noisy = reading + sigma * rng.standard_normal(DRAWS)
+        change = effect.changed(noisy, values) - noisy
+        said = float(effect.mean_change(np.array([reading]), sigma, values)[0])
+        assert abs(change.mean() - said) <= 5.0 * change.std() / np.sqrt(DRAWS) + 1e-12
+
+
+def dead_band(column: int, half_width: float) -> Callable[[np.ndarray], None]:
+    """Return what silences increments of a channel, noise and all."""
+
+    def change(increments: np.ndarray) -> None:
+        band = np.abs(increments[:, column]) < half_width / RATE_HZ
+        increments[band, column] = 0.0
+
+    return change
+
+
+def test_a_dead_band_no_wider_than_the_noise_is_named() -> None:
+    """The gyro along the vertical reads 4.2e-5 rad/s at rest, 3 σ of a sample; the band takes a part of its noise."""
+    case = recording(None, 41, moving=False)
+    samples = case.samples.copy()
+    half_width = 4.0e-5
+    dead_band(2, half_width)(samples["dtheta"])
+    report = discrepancy([replace(case, samples=samples)], model())
+    names = {
+        (name["effect"], name["channel"])
+        for one in report.findings
+        for name in (one, *one["alternatives"])
+    }
+    assert ("dead_band", "gyro_z") in names, report.document["text"]
+
+
+def test_a_telegraph_is_not_sold_as_a_random_walk() -> None:
+    """Twenty flips between two levels make up the power of a random walk, not its kind."""
+    rng = np.random.default_rng(7)
+    flips = np.sort(rng.uniform(0.05, 0.95, 20)) * DURATION_S
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += 0.6 * GYRO_SIGMA * np.where(np.searchsorted(flips, true["t"]) % 2, 1.0, -1.0)
+
+    report = discrepancy([recording(change, 42)], model())
+    assert report.verdict == "unknown"
+    terms = report.document["remaining"]["empirical"]
+    assert [term["channel"] for term in terms] == ["gyro_x"]
+    assert "jumps" in terms[0]["term"], terms
+
+
+def test_a_sawtooth_is_lines_that_belong_together_and_no_name() -> None:
+    def change(true: Truth, readings: np.ndarray) -> None:
+        phase = (true["t"] / 17.3) % 1.0
+        readings[:, 4] += 1.2 * GYRO_SIGMA * (np.exp(-phase / 0.1) - 0.1)
+
+    report = discrepancy([recording(change, 43, moving=False)], model(free=True))
+    assert report.verdict == "unknown"
+    assert report.findings == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_walk_is_one(seed: int) -> None:
+    rng = np.random.default_rng([44, seed])
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += 0.1 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
+
+    report = discrepancy([recording(change, 45 + seed)], model())
+    assert {(one["effect"], one["channel"]) for one in report.findings} == {("rate_random_walk", "gyro_x")}
+    assert report.document["remaining"]["empirical"] == []
+
+
+def test_a_false_clock_is_not_sold_as_a_delay() -> None:
+    """At 50 ppm the end of the record is 12 ms late, which a delay of half of it explains in part."""
+    case = recording(None, 49)
+    samples = case.samples.copy()
+    samples["time"] *= 1.0 + 5e-5
+    report = discrepancy([replace(case, samples=samples)], model())
+    first = report.findings[0]
+    assert first["effect"] == "clock_scale", report.document["text"]
+    error = first["parameters"]["error"]
+    assert abs(error["value"] - 5e-5) < 3.3 * error["sigma"]
+
+
+def test_a_register_that_stands_still_for_five_samples_of_a_turn_is_named() -> None:
+    case = recording(None, 50)
+    samples = case.samples.copy()
+    start = round(21.0 * RATE_HZ)
+    samples["dv"][start : start + 5, 1] = samples["dv"][start - 1, 1]
+    report = discrepancy([replace(case, samples=samples)], model())
+    assert {(one["effect"], one["channel"]) for one in report.findings} == {("stuck_samples", "accel_y")}
