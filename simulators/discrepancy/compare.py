@@ -33,6 +33,7 @@ MEDIAN_OF_SQUARES = 0.4549
 """Of a standard normal variable."""
 _ROUNDS = 3
 _WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white
+_FAR_OFF = 2.0  # by which noise must be larger than stated to be taken for other
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
 
@@ -95,14 +96,20 @@ class Scene:
 
     @cached_property
     def noise_sigma(self) -> Array:
-        """Return the 1σ of the white noise of a single sample (6,) [y]: as found below the rounding, or as stated."""
+        """Return the 1σ of the white noise of a single sample (6,) [y]: as stated, or as found where that is far off.
+
+        It is looked for below the frequencies of rounding. What silences a part of the samples changes what is found.
+        """
         residual = (self.measured - self.predicted).T
         left = np.column_stack([gaps.fill(v) for gaps, v in zip(self._gaps, residual, strict=True)])
         power = np.square(dct(left, axis=0, norm="ortho"))
         hertz = np.arange(len(left)) / (2.0 * len(left) * self.seen.interval_s)
-        found = np.median(power[(hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])], axis=0) / MEDIAN_OF_SQUARES
-        stated = [0.0 if self.model.noise.free else getattr(self.model.noise, name).white for name in CHANNELS]
-        return np.asarray(np.sqrt(np.maximum(found, np.square(stated) / self.seen.interval_s)))
+        band = (hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])
+        found = np.sqrt(np.median(power[band], axis=0) / MEDIAN_OF_SQUARES)
+        if self.model.noise.free:
+            return np.asarray(found)
+        stated = np.array([getattr(self.model.noise, name).white for name in CHANNELS]) / np.sqrt(self.seen.interval_s)
+        return np.where(found < _FAR_OFF * stated, stated, found)
 
     @property
     def warm(self) -> bool:

@@ -166,9 +166,7 @@ def _unsteady(search: Search) -> list[dict[str, Any]]:
         if nats > UNSTEADY_NATS:
             text = "what is left comes and goes"
             channel = CHANNELS[slot[1]]
-            found.append(
-                {"kind": "unsteady", "channel": channel, "term": text, "at_s": when, "evidence_nats": nats}
-            )
+            found.append({"kind": "unsteady", "channel": channel, "term": text, "at_s": when, "evidence_nats": nats})
     return found
 
 

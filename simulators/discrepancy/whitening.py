@@ -223,12 +223,15 @@ def _value(rss: Array, freedom: Array, power: Array) -> float:
 
 @compiled
 def _climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int) -> None:
-    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF)."""
+    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF).
+
+    The first bin, the mean, is left out: it tells of a bias, which a random walk of one coefficient would swallow.
+    """
     bins, terms = basis.shape
     for _ in range(rounds):
         up = np.zeros(terms)
         down = np.zeros(terms)
-        for b in range(bins):
+        for b in range(1, bins):
             power = floor[b]
             for j in range(terms):
                 power += basis[b, j] * variances[j]
