@@ -142,8 +142,8 @@ def _report(
         verdict = "tie"
     elif findings:
         verdict = "named"
-    added = _entries(findings, model, recordings)
-    child = model.model_copy(update={"parent": model.sha256(), "effects": [*model.effects, *added]}) if added else model
+    added = _entries(findings, recordings)
+    child = _child(model, added) if added else model
     slots = evidence.slots
     before, after = whole.rms(slots)
     document: dict[str, Any] = {
@@ -272,11 +272,10 @@ def _repair_findings(scenes: list[Scene], stuck: list[Stuck]) -> list[dict[str, 
         sigma = math.sqrt(share * (1.0 - share) / frames)
         value = {"fraction": ParameterValue(value=share, sigma=sigma, unit="1")}
         findings.append(_plain("lost_samples", "all", value, 50.0, 1.0, 1.0))
-    interval = scenes[0].seen.interval_s
     for one in stuck:
         values = {
-            "start": ParameterValue(value=one.start_s, sigma=interval, unit="s"),
-            "duration": ParameterValue(value=one.duration_s, sigma=interval, unit="s"),
+            "start": ParameterValue(value=one.start_s, sigma=one.sigma_s, unit="s"),
+            "duration": ParameterValue(value=one.duration_s, sigma=math.sqrt(2.0) * one.sigma_s, unit="s"),
         }
         findings.append(_plain("stuck_samples", one.channel, values, 50.0, 1.0, 1.0))
     return findings
@@ -306,7 +305,12 @@ def _noise_finding(noise: NoiseFinding, search: Search) -> dict[str, Any]:
         if stated is not None:
             squares += float(np.sum(search.fit.rss[slot] / stated))
             count += search.evidence.basis[slot].n
-    values = {parameter: ParameterValue(value=noise.value, sigma=noise.sigma, unit=unit)}
+    value, sigma = noise.value, noise.sigma
+    if noise.effect == "quantisation":  # the step itself, of which the noise found is what goes beyond the step stated
+        stated_step = getattr(search.evidence.library.scenes[0].model.noise, noise.channel).quantisation
+        value = math.hypot(noise.value, stated_step)
+        sigma *= noise.value / value
+    values = {parameter: ParameterValue(value=value, sigma=sigma, unit=unit)}
     before, after = math.sqrt(squares / max(count, 1.0)), rms(search, slots, search.fit)
     finding = _plain(noise.effect, noise.channel, values, noise.score, before, after)
     finding["alternatives"] = [{"effect": t, "channel": noise.channel, "behind_nats": 1.5} for t in noise.ties]
@@ -402,7 +406,15 @@ def _next(
     return [asdict(proposal) for proposal in propose_unseen(evidence, fit)]
 
 
-def _entries(findings: list[dict[str, Any]], model: BlockModel, recordings: Sequence[Recording]) -> list[EffectEntry]:
+def _child(model: BlockModel, added: list[EffectEntry]) -> BlockModel:
+    """Return the model with effects added; a readout in coarser steps takes the place of the steps that it had."""
+    steps = {entry.channel for entry in added if entry.effect == "quantisation"}
+    finer = {name: getattr(model.noise, name).model_copy(update={"quantisation": 0.0}) for name in steps}
+    update = {"parent": model.sha256(), "effects": [*model.effects, *added]}
+    return model.model_copy(update={**update, "noise": model.noise.model_copy(update=finer)} if steps else update)
+
+
+def _entries(findings: list[dict[str, Any]], recordings: Sequence[Recording]) -> list[EffectEntry]:
     entries = []
     for finding in findings:
         if finding["effect"] in OF_THE_RECORDING:
@@ -423,7 +435,6 @@ def _entries(findings: list[dict[str, Any]], model: BlockModel, recordings: Sequ
                 evidence=evidence,
             )
         )
-    del model
     return entries
 
 

@@ -30,11 +30,12 @@ _FREE_SHARE = 0.5  # of a white noise of which a model knows the size about
 
 @dataclass(frozen=True)
 class Stuck:
-    """One sensor's register stood still from ``start_s`` for ``duration_s`` [s, device clock]."""
+    """One sensor's register stood still from ``start_s`` for ``duration_s`` [s, device clock], both ± ``sigma_s``."""
 
     channel: str
     start_s: float
     duration_s: float
+    sigma_s: float
 
 
 def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
@@ -51,7 +52,10 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         for first, last in _standing(increment, off, most):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
-            found.append(Stuck(channel, float(data.edges_s[start]), float(data.edges_s[end + 1] - data.edges_s[start])))
+            duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
+            # A reading may have been the same by itself just before, or just after.
+            sigma_s = scene.seen.interval_s * max(1.0, _mean_run(increment))
+            found.append(Stuck(channel, float(data.edges_s[start]), duration_s, sigma_s))
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
@@ -80,6 +84,11 @@ def _standing(increment: Array, off: Array, most: float) -> list[tuple[int, int]
         if b - a >= longest or astray > (_ASTRAY if b - a >= _SHORT_RUN else _FAR_ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
+
+
+def _mean_run(increment: Array) -> float:
+    """Return how many samples a reading stays the same in the mean."""
+    return increment.size / (1.0 + float(np.sum(np.diff(increment) != 0.0)))
 
 
 def _step(increment: Array) -> float:
