@@ -46,10 +46,11 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     for column, channel in enumerate(CHANNELS):
         came = np.flatnonzero(~missing[:, column])
         increment = data.sent[came, column]
-        off = (scene.measured[came, column] - scene.predicted[came, column]) * interval[came]
+        said = scene.predicted[came, column] * interval[came]
+        off = scene.measured[came, column] * interval[came] - said
         white = getattr(scene.model.noise, channel).white * (_FREE_SHARE if scene.model.noise.free else 1.0)
         most = white * math.sqrt(scene.seen.interval_s) or math.inf
-        for first, last in _standing(increment, off, most):
+        for first, last in _standing(increment, off, said, most):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
             duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
@@ -59,11 +60,11 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _standing(increment: Array, off: Array, most: float) -> list[tuple[int, int]]:
+def _standing(increment: Array, off: Array, said: Array, most: float) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``off`` is by how much each increment is off the prediction; ``most``: the white noise of a sample by the model, for
-    what goes on slowly beside it does not break runs.
+    ``off`` is by how much each increment is off the prediction, ``said``; ``most``: the white noise of a sample by the
+    model, for what goes on slowly beside it does not break runs.
     """
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
@@ -81,7 +82,11 @@ def _standing(increment: Array, off: Array, most: float) -> list[tuple[int, int]
     found = []
     for a, b in zip(first[candidate], last[candidate], strict=True):
         astray = _astray(off, int(a), int(b), step, noise)
-        if b - a >= longest or astray > (_ASTRAY if b - a >= _SHORT_RUN else _FAR_ASTRAY):
+        short = b - a < _SHORT_RUN
+        unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
+        if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
+            continue  # of a few samples only a motion that goes on without them tells
+        if b - a >= longest or astray > (_FAR_ASTRAY if short else _ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
 
