@@ -30,6 +30,7 @@ _SHARE_SEEN = 0.8  # of a block that must have been measured
 _COEFFICIENTS = 8  # that make up one block's power
 _FIRST, _HIGHEST_HZ = 32, 5.0
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
+_MANY_LINES = 4
 _HARMONIC, _BAND, _DOMINANT = 0.01, 1.3, 0.9
 
 
@@ -149,7 +150,11 @@ def _together(search: Search, lines: Sequence[Adopted]) -> str | None:
 def _swallowed(one: Sparse) -> dict[str, Any]:
     """Return in words what a wide noise model had swallowed."""
     parts = [f"{len(one.steps)} jumps"] if one.steps else []
-    parts += [f"lines at {', '.join(f'{hertz:.3g}' for hertz in sorted(one.lines_hz))} Hz"] if one.lines_hz else []
+    hertz = sorted(one.lines_hz)
+    if len(hertz) > _MANY_LINES:
+        parts.append(f"{len(hertz)} lines from {hertz[0]:.3g} to {hertz[-1]:.3g} Hz")
+    elif hertz:
+        parts.append(f"lines at {', '.join(f'{line:.3g}' for line in hertz)} Hz")
     text = " and ".join(parts)
     return {"kind": "sparse", "channel": CHANNELS[one.slot[1]], "term": text, "evidence_nats": one.nats}
 
