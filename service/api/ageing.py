@@ -80,7 +80,9 @@ class Population(BaseModel):
 
     unit: str
     blocks: int
-    exponent: float
+    decline: float
+    bend: float
+    onset: float
     law_months: float
     mean: float
     spread: float
