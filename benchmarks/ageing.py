@@ -1,7 +1,7 @@
 """Ageing forecasts and steps on simulated fleets: coverage of the 90 % interval, steps found, false alarms.
 
 Each fleet has 200 blocks of six terms by one planted law (``simulators.fleet``): laws the fitted family holds, laws it
-does not, slopes with heavy tails, a walk that is pulled back. Forecasts are made from monthly checks and held against
+comes near to, slopes with heavy tails, a walk that is pulled back. Forecasts are made from monthly checks and held against
 when each block really leaves its limit.
 
 Blocks of one fleet share its population, so what is wrong about that is wrong for all of them: their outcomes hang
@@ -49,7 +49,7 @@ CASES: dict[str, dict[str, Any]] = {
     "heavy tails": {"law": "logarithmic", "tails": 5.0},
     "walk pulled back": {"law": "logarithmic", "walk": 0.4, "relaxation_months": 12.0},
 }
-"""Of these the fitted family holds linear, logarithmic and common drift."""
+"""The fitted family holds them all but pure powers (square root, growing), heavy tails and the walk pulled back."""
 TRIVIAL = 0.9
 """A forecast that is surer than this of being outside now, or not before the horizon, says no interval."""
 

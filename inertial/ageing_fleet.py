@@ -85,9 +85,10 @@ def steps_of_a_kind(
     For each axis its histories with the steps marked, its sizes, and every block's steps. ``allowance``: false alarms a
     year that one term of one block may raise.
     """
-    marked, best = list(histories), None
+    marked = list(histories)
+    best: list[Sizes] = []
     for _ in range(ROUNDS):
-        best = best_sizes(marked, best)
+        best = best_sizes(marked, best or None)
         steps = [find_steps(term, sizes, allowance) for term, sizes in zip(histories, best, strict=True)]
         before = [term.stepped for term in marked]
         marked = [with_steps(term, _rows(term, found)) for term, found in zip(histories, steps, strict=True)]

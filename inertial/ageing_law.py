@@ -90,5 +90,5 @@ def _between(u: float, first: float, panel: float, height: Array, slope: Array) 
     s = place - k
     rest = 1.0 - s
     ends = height[k] * rest * rest * (1.0 + 2.0 * s) + height[k + 1] * s * s * (3.0 - 2.0 * s)
-    slopes: float = slope[2 * k] * rest - slope[2 * k + 2] * s
-    return ends + panel * s * rest * slopes
+    found: float = ends + panel * s * rest * (slope[2 * k] * rest - slope[2 * k + 2] * s)
+    return found
