@@ -1,8 +1,8 @@
 """Ageing forecasts and steps on simulated fleets: coverage of the 90 % interval, steps found, false alarms.
 
 Each fleet has 200 blocks of six terms by one planted law (``simulators.fleet``): laws the fitted family holds, laws it
-comes near to, slopes with heavy tails, a walk that is pulled back. Forecasts are made from monthly checks and held against
-when each block really leaves its limit.
+comes near to, slopes with heavy tails, a walk that is pulled back. Forecasts are made from monthly checks and held
+against when each block really leaves its limit.
 
 Blocks of one fleet share its population, so what is wrong about that is wrong for all of them: their outcomes hang
 together. The band is therefore the plain binomial one of all blocks of a law (99.9 %), which holds only if the
