@@ -20,8 +20,9 @@ Durbin & Koopman, *Time Series Analysis by State Space Methods*; the chain as in
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,8 +50,13 @@ SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5])
 """Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ; walk a √month."""
 FARTHEST = 6.0
 """Prior σ beyond which nothing is looked for."""
-STEP = 0.02
+STEP = 1e-3
 """Of numeric derivatives."""
+START_DECLINES, START_SPREADS, START_WALKS = (-0.4, 0.0, 0.4, 0.8, 1.6), (1.0, 3.0, 10.0, 30.0, 100.0), (0.1, 1.0)
+"""Where the search for the peak may begin; sizes in units of the checks' median σ."""
+STARTS = 8
+"""Of the search for the peak, at most, each where the last one lost its way: what it learnt of the curvature far from
+the peak may mislead it nearer by."""
 SEED = 20140293
 
 
@@ -158,6 +164,13 @@ class _Axis:
         return np.array([*law, sizes.mean / self._unit, *np.log(np.array(own) / self._unit)])
 
 
+def _starts(law: Array) -> Iterator[Array]:
+    """Yield points of one axis with this law, spread and walk between small and large."""
+    mean, _, offset, _, scatter = SIZE_MEAN
+    for spread, walk in itertools.product(START_SPREADS, START_WALKS):
+        yield np.array([*law, mean, math.log(spread), offset, math.log(walk), scatter])
+
+
 def _law(point: Array) -> DriftLaw:
     decline, bend, onset, log_months = point[:LAW].tolist()
     return DriftLaw(decline, bend, onset, math.exp(log_months))
@@ -170,7 +183,17 @@ class _Kind:
         self.axes = [_Axis(term) for term in terms]
         own = len(SIZE_MEAN)
         self._places = [np.r_[0:LAW, LAW + own * k : LAW + own * (k + 1)] for k in range(len(terms))]
-        self.start = np.concatenate([LAW_MEAN, *[SIZE_MEAN] * len(terms)])
+
+    def start(self) -> Array:
+        """Return the best of a few coarse points: from a law far off, the way to the peak of a long history is lost."""
+        best, height = LAW_MEAN, -math.inf
+        for decline in START_DECLINES:
+            law = np.array([decline, *LAW_MEAN[1:]])
+            own = [max(_starts(law), key=axis) for axis in self.axes]
+            point = np.concatenate([law, *[one[LAW:] for one in own]])
+            if (here := self(point)) > height:
+                best, height = point, here
+        return best
 
     def of_axis(self, point: Array, axis: int) -> Array:
         """Return what of a point concerns one axis."""
@@ -261,9 +284,13 @@ def fit_population(terms: Sequence[TermHistories], near: Sequence[Sizes] | None 
 
 def _peak(posterior: _Kind, near: Sequence[Sizes] | None) -> Array:
     below, slope = posterior.depth, posterior.depth_slope
-    start = posterior.start if near is None else posterior.point(near)
-    found = minimize(below, start, jac=slope, method="BFGS", options={"gtol": 0.2})
-    return np.asarray(found.x)
+    start = posterior.start() if near is None else posterior.point(near)
+    for _ in range(STARTS):
+        found = minimize(below, start, jac=slope, method="BFGS", options={"gtol": 0.2})
+        start = np.asarray(found.x)
+        if found.success:
+            break
+    return start
 
 
 def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Array]:
