@@ -9,11 +9,10 @@ Check i of block b, ``t`` months after its laboratory calibration, finds the ter
     e ~ N(0, scatter²)           from one check to the next (turn-on, temperature)
     ε ~ N(0, σ²)                 the check's own 1σ, from the covariance of its result
 
-Law: h(t) = ((1 + t/τ)^λ − 1)/λ, scaled to h(12) = 1: linear (λ = 1), logarithmic (λ → 0), near to saturating (λ < 0)
-or growing (λ > 1). The axes of one kind of sensor share the law, for it is one mechanism, and have sizes of their own:
-x drifts less than y and z. The likelihood is exact (a Kalman filter a block). Nothing is fixed at its best value: law
-and sizes are drawn from their posterior by a Metropolis chain, so that what few blocks leave open stands in the
-forecast.
+The law h is one of :mod:`inertial.ageing_law`. The axes of one kind of sensor share it, for it is one mechanism, and
+have sizes of their own: x drifts less than y and z. The likelihood is exact (a Kalman filter a block). Nothing is fixed
+at its best value: law and sizes are drawn from their posterior by a Metropolis chain, so that what few blocks leave
+open stands in the forecast.
 
 Source: the model form is that of linear growth curves with random coefficients (Laird & Ware 1982); filtering as in
 Durbin & Koopman, *Time Series Analysis by State Space Methods*; the chain as in Gelman, Roberts & Gilks 1996.
@@ -21,8 +20,9 @@ Durbin & Koopman, *Time Series Analysis by State Space Methods*; the chain as in
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,27 +30,33 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from inertial.ageing_filter import log_likelihood
-from inertial.compiled import compiled
+from inertial.ageing_law import DriftLaw
 
 Array = NDArray[np.float64]
 
 MONTH_DAYS = 30.4375
-YEAR_MONTHS = 12.0
 JUMP = 1e3
 """σ of a step of unknown size, in median σ of the checks: so wide that it says nothing."""
-DRAWS, APART, BURN_IN = 64, 12, 150
-"""Draws of the posterior that are handed on, sweeps of the chain between two of them, and before the first."""
+DRAWS, APART, BURN_IN, LAW_MOVES = 64, 12, 150, 4
+"""Draws of the posterior that are handed on, sweeps of the chain between two of them and before the first; moves of the
+law in a sweep, for its parameters hang together most."""
 JUMP_SCALE = 2.38
 """Of a proposal, over the root of its dimensions: the best for a Gaussian (Gelman, Roberts & Gilks 1996)."""
-LAW_MEAN, LAW_SIGMA = np.array([0.3, math.log(8.0)]), np.array([1.0, 1.0])
-"""Prior of λ and ln τ [months]."""
+LAW_MEAN, LAW_SIGMA = np.array([0.4, 0.4, 0.0, math.log(3.5)]), np.array([1.0, 0.7, 0.1, 1.5])
+"""Prior of the law's decline, bend, onset and ln τ [months]: power (bend 0) and exponential (1) are alike to it."""
+LAW = len(LAW_MEAN)
 SIZE_MEAN = np.array([0.0, math.log(3.0), 0.0, math.log(0.1), math.log(0.3)])
 SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5])
 """Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ; walk a √month."""
 FARTHEST = 6.0
 """Prior σ beyond which nothing is looked for."""
-STEP = 0.02
+STEP = 1e-3
 """Of numeric derivatives."""
+START_DECLINES, START_SPREADS, START_WALKS = (-0.4, 0.0, 0.4, 0.8, 1.6), (1.0, 3.0, 10.0, 30.0, 100.0), (0.1, 1.0)
+"""Where the search for the peak may begin; sizes in units of the checks' median σ."""
+STARTS = 8
+"""Of the search for the peak, at most, each where the last one lost its way: what it learnt of the curvature far from
+the peak may mislead it nearer by."""
 SEED = 20140293
 
 
@@ -100,10 +106,9 @@ class TermHistories:
 
 @dataclass(frozen=True)
 class Sizes:
-    """The population: λ, τ; in SI ``mean`` and ``spread`` of the drift in the first year, ``walk`` a √month."""
+    """The population: its drift ``law``; in SI ``mean`` and ``spread`` of the first year, ``walk`` a √month."""
 
-    exponent: float
-    law_months: float
+    law: DriftLaw
     mean: float
     spread: float
     offset: float
@@ -114,10 +119,6 @@ class Sizes:
     def row(self) -> Array:
         """Return mean, spread², offset², walk², scatter², as the filter takes them."""
         return np.array([self.mean, self.spread**2, self.offset**2, self.walk**2, self.scatter**2])
-
-    def growth(self, months: Array) -> Array:
-        """Return h at ages [months], 1 after a year."""
-        return np.asarray(_growth(np.asarray(months, dtype=np.float64), self.exponent, self.law_months))
 
 
 @dataclass(frozen=True)
@@ -131,49 +132,68 @@ class PopulationFit:
     draws: tuple[Sizes, ...]
 
 
-@compiled
-def _growth(months: Array, exponent: float, law_months: float) -> Array:
-    aged: Array = np.log1p(months / law_months)
-    year = np.log1p(12.0 / law_months)
-    if abs(exponent) >= 1e-9:
-        aged, year = np.expm1(exponent * aged), np.expm1(exponent * year)
-    grown: Array = aged / year
-    return grown
-
-
 class _Axis:
-    """Log posterior density of one term at (λ, ln τ, its five sizes), without the law's own prior."""
+    """Log posterior density of one term at (its law, its five sizes), without the law's own prior."""
 
     def __init__(self, histories: TermHistories) -> None:
         unit = histories.unit
         self._unit = unit
         self._offsets, self._months = histories.offsets, histories.months
+        self._ages, self._age = np.unique(histories.months, return_inverse=True)
         self._values = histories.value / unit, (histories.sigma / unit) ** 2, histories.jump / unit**2
 
     def __call__(self, point: Array) -> float:
-        deviation = (point[2:] - SIZE_MEAN) / SIZE_SIGMA
+        own = point[LAW:]
+        deviation = (own - SIZE_MEAN) / SIZE_SIGMA
         if np.any(np.abs(deviation[1:]) > FARTHEST):
             return -math.inf
-        sizes = np.concatenate([point[2:3], np.exp(2.0 * point[3:])])
-        growth = _growth(self._months, float(point[0]), math.exp(point[1]))
+        sizes = np.concatenate([own[:1], np.exp(2.0 * own[1:])])
+        growth = _law(point).growth(self._ages)[self._age]
         likelihood = log_likelihood(self._offsets, self._months, growth, *self._values, sizes)
         return likelihood - 0.5 * float(deviation @ deviation)
 
     def sizes(self, point: Array) -> Sizes:
         """Return a point in SI."""
-        exponent, log_months, mean, *rest = point.tolist()
-        sizes = (math.exp(value) * self._unit for value in rest)
-        return Sizes(exponent, math.exp(log_months), mean * self._unit, *sizes)
+        mean, *rest = point[LAW:].tolist()
+        return Sizes(_law(point), mean * self._unit, *(math.exp(value) * self._unit for value in rest))
+
+    def point(self, sizes: Sizes) -> Array:
+        """Return sizes in SI as a point."""
+        own = [sizes.spread, sizes.offset, sizes.walk, sizes.scatter]
+        law = [sizes.law.decline, sizes.law.bend, sizes.law.onset, math.log(sizes.law.law_months)]
+        return np.array([*law, sizes.mean / self._unit, *np.log(np.array(own) / self._unit)])
+
+
+def _starts(law: Array) -> Iterator[Array]:
+    """Yield points of one axis with this law, spread and walk between small and large."""
+    mean, _, offset, _, scatter = SIZE_MEAN
+    for spread, walk in itertools.product(START_SPREADS, START_WALKS):
+        yield np.array([*law, mean, math.log(spread), offset, math.log(walk), scatter])
+
+
+def _law(point: Array) -> DriftLaw:
+    decline, bend, onset, log_months = point[:LAW].tolist()
+    return DriftLaw(decline, bend, onset, math.exp(log_months))
 
 
 class _Kind:
-    """Log posterior of all axes of a kind at (λ, ln τ, five sizes for each axis)."""
+    """Log posterior of all axes of a kind at (law, five sizes for each axis)."""
 
     def __init__(self, terms: Sequence[TermHistories]) -> None:
         self.axes = [_Axis(term) for term in terms]
         own = len(SIZE_MEAN)
-        self._places = [np.r_[0:2, 2 + own * k : 2 + own * (k + 1)] for k in range(len(terms))]
-        self.start = np.concatenate([LAW_MEAN, *[SIZE_MEAN] * len(terms)])
+        self._places = [np.r_[0:LAW, LAW + own * k : LAW + own * (k + 1)] for k in range(len(terms))]
+
+    def start(self) -> Array:
+        """Return the best of a few coarse points: from a law far off, the way to the peak of a long history is lost."""
+        best, height = LAW_MEAN, -math.inf
+        for decline in START_DECLINES:
+            law = np.array([decline, *LAW_MEAN[1:]])
+            own = [max(_starts(law), key=axis) for axis in self.axes]
+            point = np.concatenate([law, *[one[LAW:] for one in own]])
+            if (here := self(point)) > height:
+                best, height = point, here
+        return best
 
     def of_axis(self, point: Array, axis: int) -> Array:
         """Return what of a point concerns one axis."""
@@ -181,11 +201,20 @@ class _Kind:
 
     def own_places(self, axis: int) -> NDArray[np.int64]:
         """Return where in a point an axis has its sizes."""
-        return np.asarray(self._places[axis][2:])
+        return np.asarray(self._places[axis][LAW:])
+
+    def sizes(self, point: Array) -> list[Sizes]:
+        """Return every axis's sizes at a point."""
+        return [axis.sizes(self.of_axis(point, number)) for number, axis in enumerate(self.axes)]
+
+    def point(self, sizes: Sequence[Sizes]) -> Array:
+        """Return the point at which the axes have these sizes, with one law."""
+        own = [axis.point(one) for axis, one in zip(self.axes, sizes, strict=True)]
+        return np.concatenate([own[0][:LAW], *[point[LAW:] for point in own]])
 
     def heights(self, point: Array) -> Array:
         """Return the parts of the log posterior: one for each axis, then the law's prior."""
-        deviation = (point[:2] - LAW_MEAN) / LAW_SIGMA
+        deviation = (point[:LAW] - LAW_MEAN) / LAW_SIGMA
         if np.any(np.abs(deviation) > FARTHEST):
             return np.full(len(self.axes) + 1, -math.inf)
         own = [axis(self.of_axis(point, number)) for number, axis in enumerate(self.axes)]
@@ -198,7 +227,7 @@ class _Kind:
     def gradient(self, point: Array) -> Array:
         """Return the slope by central differences, an axis at a time: nothing of one axis concerns another's sizes."""
         slope = np.zeros(len(point))
-        slope[:2] = -(point[:2] - LAW_MEAN) / LAW_SIGMA**2
+        slope[:LAW] = -(point[:LAW] - LAW_MEAN) / LAW_SIGMA**2
         for number, axis in enumerate(self.axes):
             here = self.of_axis(point, number)
             for own, place in enumerate(self._places[number]):
@@ -222,41 +251,46 @@ class _Kind:
         return 0.5 * np.asarray(np.array(rows) + np.array(rows).T)
 
 
-def best_sizes(terms: Sequence[TermHistories]) -> list[Sizes]:
-    """Return each axis's sizes at the peak of the posterior: all that a search for steps needs."""
+def best_sizes(terms: Sequence[TermHistories], near: Sequence[Sizes] | None = None) -> list[Sizes]:
+    """Return each axis's sizes at the peak of the posterior: all that a search for steps needs.
+
+    ``near``: where to begin looking; it saves time and changes nothing else.
+    """
     posterior = _Kind(terms)
-    peak = _peak(posterior)
-    return [axis.sizes(posterior.of_axis(peak, number)) for number, axis in enumerate(posterior.axes)]
+    return posterior.sizes(_peak(posterior, near))
 
 
-def fit_population(terms: Sequence[TermHistories]) -> list[PopulationFit]:
+def fit_population(terms: Sequence[TermHistories], near: Sequence[Sizes] | None = None) -> list[PopulationFit]:
     """Fit the terms of one kind of sensor (its axes): sizes of their own, the law in common.
 
     Parameters
     ----------
     terms
         The axes' histories, of the same blocks or not.
+    near
+        Where to begin looking for the peak.
 
     Returns
     -------
     One fit a term. The same histories give the same fit.
     """
     posterior = _Kind(terms)
-    peak = _peak(posterior)
-    draws = _drawn(posterior, peak, np.random.default_rng(SEED))
+    peak = _peak(posterior, near)
+    draws = [posterior.sizes(draw) for draw in _drawn(posterior, peak, np.random.default_rng(SEED))]
     return [
-        PopulationFit(
-            axis.sizes(posterior.of_axis(peak, number)),
-            tuple(axis.sizes(posterior.of_axis(draw, number)) for draw in draws),
-        )
-        for number, axis in enumerate(posterior.axes)
+        PopulationFit(best, tuple(draw[number] for draw in draws)) for number, best in enumerate(posterior.sizes(peak))
     ]
 
 
-def _peak(posterior: _Kind) -> Array:
+def _peak(posterior: _Kind, near: Sequence[Sizes] | None) -> Array:
     below, slope = posterior.depth, posterior.depth_slope
-    found = minimize(below, posterior.start, jac=slope, method="BFGS", options={"gtol": 0.05})
-    return np.asarray(found.x)
+    start = posterior.start() if near is None else posterior.point(near)
+    for _ in range(STARTS):
+        found = minimize(below, start, jac=slope, method="BFGS", options={"gtol": 0.2})
+        start = np.asarray(found.x)
+        if found.success:
+            break
+    return start
 
 
 def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Array]:
@@ -270,8 +304,8 @@ def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Arra
     precision = (vectors * np.maximum(values, SIZE_SIGMA.max() ** -2.0)) @ vectors.T
     own = [posterior.own_places(axis) for axis in range(len(posterior.axes))]
     roots = [_root(np.linalg.inv(precision[np.ix_(places, places)])) for places in own]
-    law_root = _root(np.linalg.inv(precision)[:2, :2])
-    ridge = np.vstack([np.eye(2), -np.linalg.solve(precision[2:, 2:], precision[2:, :2])])
+    law_root = _root(np.linalg.inv(precision)[:LAW, :LAW])
+    ridge = np.vstack([np.eye(LAW), -np.linalg.solve(precision[LAW:, LAW:], precision[LAW:, :LAW])])
     point, heights = peak.copy(), posterior.heights(peak)
     draws = []
     for sweep in range(1, BURN_IN + DRAWS * APART + 1):
@@ -281,10 +315,12 @@ def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Arra
             height = posterior.axes[axis](posterior.of_axis(moved, axis))
             if math.log(rng.random()) < height - heights[axis]:
                 point, heights[axis] = moved, height
-        moved = point + ridge @ (law_root @ rng.standard_normal(2))
-        proposed = posterior.heights(moved)
-        if math.log(rng.random()) < float(np.sum(proposed) - np.sum(heights)):
-            point, heights = moved, proposed
+        for _ in range(LAW_MOVES):
+            reach = 2.0 ** rng.standard_normal()  # the ridge is bent: no one size of move suits all of it
+            moved = point + ridge @ (law_root @ rng.standard_normal(LAW)) * reach
+            proposed = posterior.heights(moved)
+            if math.log(rng.random()) < float(np.sum(proposed) - np.sum(heights)):
+                point, heights = moved, proposed
         if sweep > BURN_IN and (sweep - BURN_IN) % APART == 0:
             draws.append(point.copy())
     return draws

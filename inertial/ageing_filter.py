@@ -14,34 +14,41 @@ from inertial.compiled import compiled
 Array = NDArray[np.float64]
 
 
+Belief = tuple[float, float, float, float, float, float, float, float, float]
+"""State (3), then its covariances aa, ss, ww, as, aw, sw. A tuple, which stays in registers."""
+
+
 @compiled
-def begin(sizes: Array) -> Array:
-    """Return the belief at the laboratory: state (3), then its covariances aa, ss, ww, as, aw, sw."""
-    return np.array([0.0, sizes[0], 0.0, sizes[2], sizes[1], 0.0, 0.0, 0.0, 0.0])
+def begin(sizes: Array) -> Belief:
+    """Return the belief at the laboratory."""
+    return (0.0, sizes[0], 0.0, sizes[2], sizes[1], 0.0, 0.0, 0.0, 0.0)
 
 
 @compiled
 def take(
-    belief: Array, elapsed: float, jump: float, growth: float, value: float, variance: float, sizes: Array
-) -> tuple[float, float]:
-    """Take in one check, ``elapsed`` months after the one before; return its innovation and the variance of that."""
-    belief[5] += sizes[3] * elapsed + jump
-    ga = belief[3] + growth * belief[6] + belief[7]
-    gs = belief[6] + growth * belief[4] + belief[8]
-    gw = belief[7] + growth * belief[8] + belief[5]
+    belief: Belief, elapsed: float, jump: float, growth: float, value: float, variance: float, sizes: Array
+) -> tuple[Belief, float, float]:
+    """Take in one check, ``elapsed`` months after the one before.
+
+    Returns
+    -------
+    The belief after it, its innovation and the variance of that.
+    """
+    a, s, w, aa, ss, ww, cross_as, aw, sw = belief
+    ww += sizes[3] * elapsed + jump
+    ga = aa + growth * cross_as + aw
+    gs = cross_as + growth * ss + sw
+    gw = aw + growth * sw + ww
     f = ga + growth * gs + gw + variance + sizes[4]
-    v = value - belief[0] - growth * belief[1] - belief[2]
-    gain = v / f
-    belief[0] += ga * gain
-    belief[1] += gs * gain
-    belief[2] += gw * gain
-    belief[3] -= ga * ga / f
-    belief[4] -= gs * gs / f
-    belief[5] -= gw * gw / f
-    belief[6] -= ga * gs / f
-    belief[7] -= ga * gw / f
-    belief[8] -= gs * gw / f
-    return v, f
+    v = value - a - growth * s - w
+    weight = 1.0 / f
+    ka, ks, kw = ga * weight, gs * weight, gw * weight
+    after = (
+        *(a + ka * v, s + ks * v, w + kw * v),
+        *(aa - ka * ga, ss - ks * gs, ww - kw * gw),
+        *(cross_as - ka * gs, aw - ka * gw, sw - ks * gw),
+    )
+    return after, v, f
 
 
 @compiled
@@ -60,7 +67,7 @@ def log_likelihood(
         belief = begin(sizes)
         before = 0.0
         for i in range(offsets[block], offsets[block + 1]):
-            v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+            belief, v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
             before = months[i]
             if jump[i] == 0.0:
                 total -= 0.5 * (np.log(2.0 * np.pi * f) + v * v / f)
@@ -76,10 +83,28 @@ def innovations(
     belief = begin(sizes)
     before = 0.0
     for i in range(len(value)):
-        v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+        belief, v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
         before = months[i]
         innovation[i], deviation[i] = v, np.sqrt(f)
     return innovation, deviation
+
+
+@compiled
+def step_responses(months: Array, growth: Array, variance: Array, jump: Array, sizes: Array) -> Array:
+    """Return what a unit step before check k adds to the innovation of check i of a block, in row k and column i."""
+    count = len(months)
+    responses = np.zeros((count, count))
+    silent = sizes.copy()
+    silent[0] = 0.0
+    for k in range(count):
+        belief = begin(silent)
+        before = 0.0
+        for i in range(count):
+            value = 1.0 if i >= k else 0.0
+            belief, v, _ = take(belief, months[i] - before, jump[i], growth[i], value, variance[i], silent)
+            before = months[i]
+            responses[k, i] = v
+    return responses
 
 
 @compiled
@@ -98,7 +123,7 @@ def last_beliefs(
         belief = begin(sizes)
         before = 0.0
         for i in range(offsets[block], offsets[block + 1]):
-            take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+            belief, _, _ = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
             before = months[i]
-        last[block] = belief
+        last[block] = np.array(belief)
     return last

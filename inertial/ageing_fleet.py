@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inertial.ageing import Array, PopulationFit, TermHistories, best_sizes, fit_population, with_steps
+from inertial.ageing import Array, PopulationFit, Sizes, TermHistories, best_sizes, fit_population, with_steps
 from inertial.ageing_forecast import Leaving, leaving, leaving_months
 from inertial.ageing_steps import Step, find_steps
 
@@ -75,21 +75,35 @@ def analyse_fleet(
     )
 
 
-def _of_a_kind(
+def steps_of_a_kind(
     histories: Sequence[TermHistories], allowance: float
-) -> list[tuple[TermHistories, PopulationFit, tuple[tuple[Step, ...], ...]]]:
-    """Fit and search in turn until the steps stay as they are."""
+) -> tuple[list[TermHistories], list[Sizes], list[list[list[Step]]]]:
+    """Fit and search the axes of a kind in turn until the steps stay as they are.
+
+    Returns
+    -------
+    For each axis its histories with the steps marked, its sizes, and every block's steps. ``allowance``: false alarms a
+    year that one term of one block may raise.
+    """
     marked = list(histories)
+    best: list[Sizes] = []
     for _ in range(ROUNDS):
-        best = best_sizes(marked)
+        best = best_sizes(marked, best or None)
         steps = [find_steps(term, sizes, allowance) for term, sizes in zip(histories, best, strict=True)]
         before = [term.stepped for term in marked]
         marked = [with_steps(term, _rows(term, found)) for term, found in zip(histories, steps, strict=True)]
         if all(np.array_equal(old, term.stepped) for old, term in zip(before, marked, strict=True)):
             break
+    return marked, best, steps
+
+
+def _of_a_kind(
+    histories: Sequence[TermHistories], allowance: float
+) -> list[tuple[TermHistories, PopulationFit, tuple[tuple[Step, ...], ...]]]:
+    marked, best, steps = steps_of_a_kind(histories, allowance)
     return [
         (term, fit, tuple(tuple(block) for block in found))
-        for term, fit, found in zip(marked, fit_population(marked), steps, strict=True)
+        for term, fit, found in zip(marked, fit_population(marked, best), steps, strict=True)
     ]
 
 

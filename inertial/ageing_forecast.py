@@ -21,6 +21,8 @@ NODES_MONTHS = np.concatenate([np.arange(0.0, 24.0, 0.5), np.arange(24.0, 60.0),
 """Where paths are looked at, from the last check on: closer at first."""
 PATHS = 12
 """Paths of a block for each draw of the population."""
+NEVER = -35.0
+"""Of the logarithm of a probability: what is below it does not happen in as many paths as are drawn."""
 PROBABILITY = 0.9
 BAND_MONTHS = 36
 """How far the band of a term is given, a row a month."""
@@ -58,7 +60,7 @@ def leaving_months(histories: TermHistories, fit: PopulationFit, limit: float, s
     states, roots, months = _last_states(histories, fit)
     left = np.full((histories.blocks, len(fit.draws), PATHS), np.inf)
     for number, draw in enumerate(fit.draws):
-        growth = draw.growth(months[:, None] + NODES_MONTHS)
+        growth = draw.law.growth(months[:, None] + NODES_MONTHS)
         _walk(states[number], roots[number], growth, NODES_MONTHS, draw.walk, limit, rng, left[:, number])
     return left.reshape(histories.blocks, -1)
 
@@ -71,7 +73,7 @@ def bands(histories: TermHistories, fit: PopulationFit) -> tuple[Array, Array, A
     means, variances = np.empty((2, len(fit.draws), *ahead.shape))
     for number, draw in enumerate(fit.draws):
         one = np.ones_like(ahead)
-        row = np.stack([one, draw.growth(ahead), one], axis=-1)
+        row = np.stack([one, draw.law.growth(ahead), one], axis=-1)
         means[number] = np.einsum("bmk,bk->bm", row, states[number])
         seen = np.einsum("bmk,bkj->bmj", row, roots[number])
         variances[number] = np.sum(seen**2, axis=-1) + draw.walk**2 * walked
@@ -97,7 +99,7 @@ def _last_states(histories: TermHistories, fit: PopulationFit) -> tuple[Array, A
     """Return state (draws, blocks, 3) and root of its covariance (draws, blocks, 3, 3) at the last checks, and when."""
     rows = histories.offsets, histories.months
     seen = histories.value, histories.sigma**2, histories.jump
-    beliefs = np.array([last_beliefs(*rows, draw.growth(histories.months), *seen, draw.row) for draw in fit.draws])
+    beliefs = np.array([last_beliefs(*rows, draw.law.growth(histories.months), *seen, draw.row) for draw in fit.draws])
     aa, ss, ww, cross_as, aw, sw = np.moveaxis(beliefs[..., 3:], -1, 0)
     columns = np.stack([aa, cross_as, aw, cross_as, ss, sw, aw, sw, ww], axis=-1)
     values, vectors = np.linalg.eigh(columns.reshape(*beliefs.shape[:2], 3, 3))
@@ -135,8 +137,8 @@ def _walk(
                     left[block, path] = nodes[node - 1] + share * elapsed
                     break
                 scale = -2.0 / (walk * walk * elapsed)
-                touched = np.exp(scale * (limit - before) * (limit - here))
-                touched += np.exp(scale * (limit + before) * (limit + here))
-                if rng.random() < touched:
+                above = scale * (limit - before) * (limit - here)
+                below = scale * (limit + before) * (limit + here)
+                if max(above, below) > NEVER and rng.random() < np.exp(above) + np.exp(below):
                     left[block, path] = nodes[node - 1] + 0.5 * elapsed
                     break

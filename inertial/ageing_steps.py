@@ -23,8 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import erfc, ndtri, roots_legendre
 
-from inertial.ageing import JUMP, YEAR_MONTHS, Array, Sizes, TermHistories
-from inertial.ageing_filter import innovations
+from inertial.ageing import JUMP, Array, Sizes, TermHistories
+from inertial.ageing_filter import innovations, step_responses
+from inertial.ageing_law import YEAR_MONTHS
 
 AFTER = {1: 0.04, 2: 0.05, 3: 0.48, 4: 0.37, 6: 0.03, 12: 0.03}
 """Checks that a candidate step has behind it, and the share of a look's allowance that such candidates get: most for
@@ -70,7 +71,7 @@ def find_steps(histories: TermHistories, sizes: Sizes, allowance: float) -> list
 def predicted_sigma(histories: TermHistories, sizes: Sizes, block: int, check: int) -> float:
     """Return 1σ [SI] with which a block's history foretells its check: the check's own σ with the drift's scatter."""
     checks = _Checks.of(histories, block, sizes)
-    return float(checks.innovations(checks.value)[1][check])
+    return float(checks.innovations()[1][check])
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class _Checks:
         rows = histories.rows(block)
         months = histories.months[rows]
         variance = histories.sigma[rows] ** 2
-        return cls(months, sizes.growth(months), histories.value[rows], variance, np.zeros(len(months)), sizes.row)
+        return cls(months, sizes.law.growth(months), histories.value[rows], variance, np.zeros(len(months)), sizes.row)
 
     def with_jumps(self, checks: Sequence[int]) -> _Checks:
         """Return the same with steps of unknown size before these checks."""
@@ -98,18 +99,16 @@ class _Checks:
         jump[list(checks)] = JUMP**2 * float(np.median(self.variance))
         return replace(self, jump=jump)
 
-    def innovations(self, value: Array, *, silent: bool = False) -> tuple[Array, Array]:
-        """Return innovations and their σ; ``silent``: as if nothing were expected, for what a signal adds to them."""
-        sizes = np.where(np.arange(5) == 0, 0.0, self.sizes) if silent else self.sizes
-        return innovations(self.months, self.growth, value, self.variance, self.jump, sizes)
+    def innovations(self) -> tuple[Array, Array]:
+        """Return innovations and their σ."""
+        return innovations(self.months, self.growth, self.value, self.variance, self.jump, self.sizes)
 
     def whitened(self) -> tuple[Array, Array]:
         """Return whitened innovations (n,) and their responses (n, n) to a unit step before each check."""
-        innovation, deviation = self.innovations(self.value)
+        innovation, deviation = self.innovations()
         seen = np.where(self.jump > 0.0, 0.0, 1.0 / deviation)  # the first check behind a free step says nothing
-        steps = np.triu(np.ones((len(self.months), len(self.months))))
-        responses = np.array([self.innovations(step, silent=True)[0] for step in steps]) * seen
-        return innovation * seen, responses
+        responses = step_responses(self.months, self.growth, self.variance, self.jump, self.sizes)
+        return innovation * seen, responses * seen
 
 
 def _steps_of_block(checks: _Checks, allowance: float) -> list[Step]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from inertial.ageing import Sizes
 from inertial.ageing_fleet import TERMS, FleetAgeing, TermAgeing, analyse_fleet
 from inertial.ageing_forecast import HORIZON_MONTHS, PROBABILITY, Leaving, bands
 from inertial.ageing_steps import FALSE_ALARMS_PER_BLOCK_YEAR
@@ -74,9 +75,14 @@ def ageing_facts(
 
 
 def _population(name: str, term: TermAgeing) -> dict[str, Any]:
-    best = asdict(term.fit.best)
-    spread = {key: float(np.std([getattr(draw, key) for draw in term.fit.draws])) for key in best}
+    best, *draws = (_flat(sizes) for sizes in (term.fit.best, *term.fit.draws))
+    spread = {key: float(np.std([draw[key] for draw in draws])) for key in best}
     return {"unit": UNITS[name], "blocks": len(term.blocks), **best, "sigma": spread}
+
+
+def _flat(sizes: Sizes) -> dict[str, float]:
+    facts = asdict(sizes)
+    return {**facts.pop("law"), **facts}
 
 
 def _block(block: BlockHistory, found: FleetAgeing, curves: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -71,47 +71,59 @@ def term_histories(blocks: list[BlockHistory]) -> dict[str, tuple[list[str], Ter
 # ------------------------------------------------------------------ from the store
 
 
-def history_of_store(store: Store, runs: Path) -> list[BlockHistory]:
-    """Return the history of every block that the store has results of, once for each calibration it had.
+class StoreHistories:
+    """The history of every block that a store has results of, once for each calibration it had.
 
     Only results that are fit count. A block is told by its serial number; the calibration by its hash among the
     result's inputs, and its date by the copy in the run's folder. Where that says none, time counts from the first
-    check, which ``since`` tells.
+    check, which ``since`` tells. Each result document is read once.
     """
-    groups: dict[tuple[str, str], list[tuple[datetime, Result, RunRecord]]] = defaultdict(list)
-    for run in _runs(store):
-        result = _result(store, run)
-        if result is not None:
-            started = datetime.fromisoformat(run.started_utc.replace("Z", "+00:00"))
-            groups[_serial(run), result.inputs.get("calibration.json", "")].append((started, result, run))
-    latest: dict[str, datetime] = {}
-    for (serial, _), found in groups.items():
-        latest[serial] = max(latest.get(serial, found[0][0]), *(started for started, _, _ in found))
-    histories = []
-    for (serial, calibration), found in sorted(groups.items()):
-        found.sort(key=lambda one: one[0])
-        current = found[-1][0] == latest[serial]
-        name = serial if current else f"{serial} (calibration {calibration[:8] or 'none'})"
-        histories.append(_block(name, found, runs))
-    return histories
+
+    def __init__(self, store: Store, runs: Path) -> None:
+        self.store = store
+        self._runs = runs
+        self._hashes: dict[str, str] = {}
+        self._trims: dict[str, _Trim | None] = {}
+        self._blocks: list[BlockHistory] = []
+
+    def read(self) -> list[BlockHistory]:
+        """Return the histories: the same list as before where the store has no other results."""
+        hashes = self.store.result_hashes()
+        new = sorted(run for run, digest in hashes.items() if self._hashes.get(run) != digest)
+        for start in range(0, len(new), PAGE):
+            page = self.store.results(new[start : start + PAGE])
+            self._trims |= {run.id: _trim(run, document) for run, document in page}
+        if new:
+            self._blocks = _by_block([trim for trim in self._trims.values() if trim is not None], self._runs)
+        self._hashes = hashes
+        return self._blocks
 
 
-def _runs(store: Store) -> Iterator[RunRecord]:
-    before = None
-    while page := store.runs(PAGE, before):
-        yield from page
-        before = page[-1].id
+@dataclass(frozen=True)
+class _Trim:
+    """A run with a fit result: what a history needs of it."""
+
+    run: str
+    serial: str
+    calibration: str
+    started: datetime
+    terms: Mapping[str, float]
+    sigma: Mapping[str, float]
 
 
-def _result(store: Store, run: RunRecord) -> Result | None:
-    text = store.result(run.id) if run.verdict is not None else None
-    if text is None:
-        return None
+def _trim(run: RunRecord, document: str) -> _Trim | None:
     try:
-        result: Result = parse_document(Result, text, f"result of run {run.id}")
+        result: Result = parse_document(Result, document, f"result of run {run.id}")
     except DocumentError:
         return None  # written by a newer program: its runs are listed, its terms are not ours to read
-    return result if result.fit else None
+    if not result.fit:
+        return None
+    final, sigma = result.terms["final"], result.sigma
+    terms = dict(zip(TERMS, [*final.f_mps2, *final.g_radps], strict=True))
+    spread = dict(zip(TERMS, [*sigma.f_mps2, *sigma.g_radps], strict=True))
+    known = {name: math.nan if value is None else value for name, value in spread.items()}
+    started = datetime.fromisoformat(run.started_utc.replace("Z", "+00:00"))
+    return _Trim(run.id, _serial(run), result.inputs.get("calibration.json", ""), started, terms, known)
 
 
 def _serial(run: RunRecord) -> str:
@@ -120,10 +132,26 @@ def _serial(run: RunRecord) -> str:
     return str(serial or "unknown block")
 
 
-def _block(name: str, found: list[tuple[datetime, Result, RunRecord]], runs: Path) -> BlockHistory:
-    calibrated = _calibrated(RunFolder(runs, found[-1][2].id).path / "calibration.json")
-    epoch = calibrated if calibrated is not None and calibrated <= found[0][0] else found[0][0]
-    checks = tuple(_check((started - epoch) / timedelta(days=MONTH_DAYS), result) for started, result, _ in found)
+def _by_block(trims: list[_Trim], runs: Path) -> list[BlockHistory]:
+    groups: dict[tuple[str, str], list[_Trim]] = defaultdict(list)
+    for trim in sorted(trims, key=lambda trim: trim.started):
+        groups[trim.serial, trim.calibration].append(trim)
+    latest: dict[str, datetime] = {}
+    for (serial, _), found in groups.items():
+        latest[serial] = max(latest.get(serial, found[-1].started), found[-1].started)
+    histories = []
+    for (serial, calibration), found in sorted(groups.items()):
+        current = found[-1].started == latest[serial]
+        name = serial if current else f"{serial} (calibration {calibration[:8] or 'none'})"
+        histories.append(_block(name, found, runs))
+    return histories
+
+
+def _block(name: str, found: list[_Trim], runs: Path) -> BlockHistory:
+    calibrated = _calibrated(RunFolder(runs, found[-1].run).path / "calibration.json")
+    epoch = calibrated if calibrated is not None and calibrated <= found[0].started else found[0].started
+    month = timedelta(days=MONTH_DAYS)
+    checks = tuple(Check((trim.started - epoch) / month, trim.terms, trim.sigma) for trim in found)
     return BlockHistory(name, epoch, "calibration" if epoch == calibrated else "first check", checks)
 
 
@@ -133,13 +161,6 @@ def _calibrated(path: Path) -> datetime | None:
         return datetime.combine(date.fromisoformat(text[:10]), datetime.min.time(), UTC)
     except (OSError, DocumentError, ValueError):
         return None
-
-
-def _check(months: float, result: Result) -> Check:
-    final, sigma = result.terms["final"], result.sigma
-    terms = dict(zip(TERMS, [*final.f_mps2, *final.g_radps], strict=True))
-    spread = dict(zip(TERMS, [*sigma.f_mps2, *sigma.g_radps], strict=True))
-    return Check(months, terms, {name: math.nan if value is None else value for name, value in spread.items()})
 
 
 # ------------------------------------------------------------------ from a table

@@ -25,7 +25,7 @@ LAWS: dict[str, Callable[[Array], Array]] = {
     "saturating": lambda t: (1.0 - np.exp(-t / 30.0)) / (1.0 - np.exp(-0.4)),
     "growing": lambda t: (t / 12.0) ** 1.3,
 }
-"""Drift by months in storage, 1 after a year. ``saturating`` and ``square_root`` are no member of the fitted family."""
+"""Drift by months in storage, 1 after a year. The fitted family only comes near to the powers."""
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from service.ageing import Limits, ageing_facts
-from service.ageing_history import BlockHistory, history_of_store
+from service.ageing_history import BlockHistory, StoreHistories
 from service.api.common import ControllerHere
 from service.api.problems import ProblemError, responses
+from service.store import Store
 
 router = APIRouter(tags=["ageing"])
 
@@ -80,7 +82,9 @@ class Population(BaseModel):
 
     unit: str
     blocks: int
-    exponent: float
+    decline: float
+    bend: float
+    onset: float
     law_months: float
     mean: float
     spread: float
@@ -110,16 +114,20 @@ class Ageing(BaseModel):
 
 
 class Latest:
-    """The last analysis, kept until the histories are others: reading again costs nothing."""
+    """The last analysis, kept until the store has other results or the limits are others."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._histories: StoreHistories | None = None
         self._made: tuple[list[BlockHistory], Limits, dict[str, Any]] | None = None
 
-    def facts(self, blocks: list[BlockHistory], limits: Limits) -> dict[str, Any]:
-        """Return the analysis of these histories; whoever asks meanwhile waits for the same."""
+    def facts(self, store: Store, runs: Path, limits: Limits) -> dict[str, Any]:
+        """Return the analysis of what the store holds; whoever asks meanwhile waits for the same."""
         with self._lock:
-            if self._made is None or not _same(self._made[0], blocks) or self._made[1] != limits:
+            if self._histories is None or self._histories.store is not store:
+                self._histories = StoreHistories(store, runs)
+            blocks = self._histories.read()
+            if self._made is None or self._made[0] is not blocks or self._made[1] != limits:
                 self._made = blocks, limits, ageing_facts(blocks, limits)
             return self._made[2]
 
@@ -134,8 +142,7 @@ def read_ageing(
 ) -> Ageing:
     """Tell how blocks age: drift of the fleet, each block's forecast with its 90 % interval, and steps."""
     settings = controller.settings
-    blocks = history_of_store(controller.store, settings.store.runs)
-    facts = _latest.facts(blocks, Limits.of(settings.conditions))
+    facts = _latest.facts(controller.store, settings.store.runs, Limits.of(settings.conditions))
     if block is not None:
         if block not in facts["blocks"]:
             detail = f"There is no history of a block {block!r}. GET /api/v1/ageing lists them."
@@ -143,8 +150,3 @@ def read_ageing(
         return Ageing.model_validate({**facts, "blocks": {block: facts["blocks"][block]}})
     bare = {name: {key: value for key, value in one.items() if key != "terms"} for name, one in facts["blocks"].items()}
     return Ageing.model_validate({**facts, "blocks": bare})
-
-
-def _same(before: list[BlockHistory], now: list[BlockHistory]) -> bool:
-    """Compare by what is shown, for NaN is not equal to itself."""
-    return repr(before) == repr(now)

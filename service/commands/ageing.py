@@ -30,7 +30,7 @@ def ageing(
     """
     check_targets(json)
     from service.ageing import Limits, ageing_facts
-    from service.ageing_history import history_of_store, history_of_table
+    from service.ageing_history import StoreHistories, history_of_table
     from service.config import ConfigError, load_settings
     from service.store import Store, StoreError
 
@@ -46,7 +46,7 @@ def ageing(
             store = Store(database, settings.store.launcher)
         except StoreError as error:
             raise ConfigError(str(error)) from None
-        blocks = history_of_store(store, settings.store.runs)
+        blocks = StoreHistories(store, settings.store.runs).read()
         store.close()
     if not blocks:
         raise RefusedInput("ageing", "there is no result that is fit.", "Trim a block first, or give --history.")

@@ -262,6 +262,17 @@ class Store:
             row = session.get(ResultRow, run_id)
             return row.document if row is not None else None
 
+    def result_hashes(self) -> dict[str, str]:
+        """Return the SHA-256 of every run's result document, by run: what tells whether there is anything new."""
+        with self._sessions() as session:
+            return {row.run_id: row.sha256 for row in session.execute(select(ResultRow.run_id, ResultRow.sha256))}
+
+    def results(self, run_ids: Sequence[str]) -> list[tuple[RunRecord, str]]:
+        """Return these runs with their result documents."""
+        query = select(Run, ResultRow.document).join(ResultRow, ResultRow.run_id == Run.id).where(Run.id.in_(run_ids))
+        with self._sessions() as session:
+            return [(_record(run), document) for run, document in session.execute(query)]
+
     # -- runs carried from store to store
 
     def carry_out(self, run_id: str) -> Carried | None:

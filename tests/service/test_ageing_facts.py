@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,9 +19,9 @@ from inertial.ageing_fleet import TERMS
 from inertial.documents import Calibration, Noise, Result, Sigma, StageTerms
 from service import cli
 from service.ageing import DPH_RADPS, MG_MPS2
-from service.ageing_history import SIGMA_COLUMNS, VALUE_COLUMNS, history_of_store, history_of_table
+from service.ageing_history import SIGMA_COLUMNS, VALUE_COLUMNS, StoreHistories, history_of_table
 from service.errors import RefusedInput
-from service.store import Store
+from service.store import RunRecord, Store
 
 CALIBRATED = datetime(2024, 1, 1, tzinfo=UTC)
 SIGMA = {name: 0.02 * MG_MPS2 if name.startswith("f") else 0.05 * DPH_RADPS for name in TERMS}
@@ -200,9 +200,34 @@ def set_started(store: Store, run_id: str, started: str) -> None:
         session.execute(update(Run).where(Run.id == run_id).values(started_utc=started))
 
 
+def test_only_what_is_new_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = filled(tmp_path)
+    histories = StoreHistories(store, tmp_path / "inertrim-runs")
+    before = histories.read()
+    read: list[str] = []
+    results = store.results
+
+    def noted(run_ids: Sequence[str]) -> list[tuple[RunRecord, str]]:
+        read.extend(run_ids)
+        return results(run_ids)
+
+    monkeypatch.setattr(store, "results", noted)
+    assert histories.read() is before
+    assert read == []
+    run, _ = store.create_run({}, "optimal", None)
+    store.note_block(run.id, {"identity": {"serial": "SN0"}})
+    result = result_of(terms_at(0, 12.0, np.random.default_rng(3)), fit=True)
+    store.save_result(run.id, result.canonical_json(), result.verdict)
+    after = histories.read()
+    store.close()
+    assert read == [run.id]
+    assert [len(block.checks) for block in after] == [11, 10]
+    assert repr(after) == repr(StoreHistories(Store(tmp_path / "inertrim.db"), tmp_path / "inertrim-runs").read())
+
+
 def test_the_store_and_the_api_tell_the_same(tmp_path: Path) -> None:
     store = filled(tmp_path)
-    blocks = history_of_store(store, tmp_path / "inertrim-runs")
+    blocks = StoreHistories(store, tmp_path / "inertrim-runs").read()
     store.close()
     assert [(block.name, len(block.checks), block.since) for block in blocks] == [
         ("SN0", 10, "calibration"),

@@ -1,0 +1,62 @@
+"""The drift law: what its table promises, and exponential saturation, which it must hold inside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from inertial.ageing import fit_population
+from inertial.ageing_forecast import HORIZON_MONTHS, leaving, leaving_months
+from inertial.ageing_law import DriftLaw
+from simulators.fleet import TermLaw, simulate_term
+
+AGES = np.array([0.0, 0.5, 1.0, 3.0, 12.0, 24.0, 60.0, 264.0])
+
+
+@pytest.mark.parametrize(
+    ("law", "same"),
+    [
+        (DriftLaw(0.0, 0.7, 0.0, 3.0), lambda t: t),
+        (DriftLaw(12.0 / 18.0, 0.0, 0.0, 6.0), lambda t: np.log1p(t / 6.0)),
+        (DriftLaw(0.4, 1.0, 0.0, 0.3), lambda t: -np.expm1(-t / 30.0)),
+        (DriftLaw(2.0, 1.0, 0.0, 40.0), lambda t: -np.expm1(-t / 6.0)),
+        (DriftLaw(-0.4, 1.0, 0.0, 4.0), lambda t: np.expm1(t / 30.0)),
+        (DriftLaw(-0.3, 0.0, 0.0, 1e-6), lambda t: t**1.3),
+    ],
+)
+def test_the_law_holds_what_its_table_says(law: DriftLaw, same: Callable[[np.ndarray], np.ndarray]) -> None:
+    np.testing.assert_allclose(law.growth(AGES), same(AGES) / same(np.array(12.0)), rtol=1e-5, atol=1e-9)
+
+
+def test_the_law_is_smooth_through_its_limits_and_never_overflows() -> None:
+    near, at = DriftLaw(0.4, 1e-7, 0.0, 4.0).growth(AGES), DriftLaw(0.4, 0.0, 0.0, 4.0).growth(AGES)
+    np.testing.assert_allclose(near, at, rtol=1e-6)
+    for decline in (-20.0, 20.0):
+        for bend in (-3.0, 4.0):
+            assert np.all(np.isfinite(DriftLaw(decline, bend, 0.0, 0.05).growth(AGES)))
+
+
+def test_what_comes_at_once_is_there_from_the_start() -> None:
+    np.testing.assert_allclose(DriftLaw(0.4, 0.5, 0.2, 3.0).growth(np.array([0.0, 12.0])), [0.2, 1.0], rtol=1e-6)
+
+
+def test_exponential_saturation_is_covered_within_the_binomial_band() -> None:
+    """Eighty blocks of two like axes, of which many never leave: what is fitted must know that the drift ends."""
+    rng = np.random.default_rng(11)
+    months, limit = np.arange(1.0, 25.0), 20.0
+    axes = [simulate_term(TermLaw("saturating"), 80, months, 24.0 + HORIZON_MONTHS, rng) for _ in range(2)]
+    fits = fit_population([axis.histories for axis in axes])
+    samples = [
+        leaving_months(axis.histories, fit, limit, k) for k, (axis, fit) in enumerate(zip(axes, fits, strict=True))
+    ]
+    truth = np.minimum(*(axis.leaves_months(limit) for axis in axes))
+    found = [leaving(row) for row in np.minimum(*samples)]
+    open_ones = [k for k, one in enumerate(found) if max(one.outside_now, one.beyond_horizon) < 0.9]
+    highs = [np.inf if found[k].high is None else found[k].high for k in open_ones]
+    inside = [(found[k].low or 0.0) <= truth[k] <= high for k, high in zip(open_ones, highs, strict=True)]
+    low, high = binom.interval(0.999, len(inside), 0.9)
+    assert len(inside) > 30
+    assert low <= sum(inside) <= high
