@@ -150,7 +150,7 @@ class Searcher:
             fit = self._fit_of([*adopted, *new], current)
             count = sum(len(h.columns) for h in new)
             places = math.prod(self._places(h) for h in new)
-            if bayes_factor(fit.value - current.value, count, places) > MARGIN:
+            if bayes_factor(fit.value - current.value, count, places) > 0.5 * MARGIN:  # or it would not stay
                 return new, fit
         return [], current
 

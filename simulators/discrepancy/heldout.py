@@ -34,11 +34,6 @@ class Gap:
     after: dict[Slot, float]
     count: dict[Slot, int]
 
-    @property
-    def gained(self) -> float:
-        """By how much χ² falls where nothing was fitted."""
-        return sum(self.before.values()) - sum(self.after.values())
-
     def rms(self, slots: Sequence[Slot]) -> tuple[float, float]:
         """Return the whitened RMS over slots, before and after; noise alone gives 1."""
         count = max(sum(self.count[s] for s in slots), 1)
@@ -53,7 +48,9 @@ class HeldOut:
 
     def __init__(self, evidence: Evidence, fit: Fit) -> None:
         self._ids, self._prior = fit.ids, evidence.prior
-        self._steady = np.diag([1.0 / self._prior[i] ** 2 if i in self._prior else 0.0 for i in fit.ids])
+        # Where the other blocks say nothing of an effect, it is taken for nothing, give or take its size.
+        sizes = [self._prior.get(i, abs(float(size))) for i, size in zip(fit.ids, fit.amplitude, strict=True)]
+        self._steady = np.diag([max(size, 1e-300) ** -2.0 if size else 0.0 for size in sizes])
         self._blocks = {slot: _Blocks.of(evidence, fit, slot) for slot in evidence.slots}
         self._weights: list[dict[Slot, Array]] = []
         self._seen: list[tuple[Array, Array]] = []
@@ -87,6 +84,24 @@ class HeldOut:
         amplitude[own] = _solve(matrix[np.ix_(own, own)], right[own] - known)
         return amplitude
 
+    def gained(self, columns: Sequence[int]) -> float:
+        """Return by how much better blocks are predicted with some columns than without: twice the log of the ratio.
+
+        That is of the probabilities of what is held out, given the other blocks, with all that these leave open of
+        every amplitude: an effect that shows in a single block is predicted by no other, but not contradicted either.
+        """
+        some = [p for p, i in enumerate(self._ids) if i not in columns]
+        return 2.0 * sum(
+            self._log_predicted(fold, range(len(self._ids))) - self._log_predicted(fold, some) for fold in range(FOLDS)
+        )
+
+    def _log_predicted(self, fold: int, keep: Sequence[int]) -> float:
+        """Return ln of the probability of one fold given the others, but for what is the same whatever is kept."""
+        (seen, right), (unseen, more) = self._seen[fold], self._unseen[fold]
+        square = np.ix_(keep, keep)
+        everything = _log_weight((seen + unseen - self._steady)[square], (right + more)[keep])
+        return everything - _log_weight(seen[square], right[keep])
+
     def gap(self, without: Sequence[int] = ()) -> Gap:
         """Return the gap before and after; before, the columns ``without`` are not there; none: all but priors."""
         tried = list(without) or [i for i in self._ids if i not in self._prior]
@@ -105,6 +120,17 @@ class HeldOut:
 
 def _others(fold: int) -> list[int]:
     return [other for other in range(FOLDS) if other != fold]
+
+
+def _log_weight(matrix: Array, right: Array) -> float:
+    """Return ln of ∫exp(right·a - a·matrix·a/2) da, but for a constant."""
+    if not right.size:
+        return 0.0
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    unit = matrix / np.outer(scale, scale)
+    unit[np.diag_indices(right.size)] += 1e-9
+    _, log_det = np.linalg.slogdet(unit)
+    return float(0.5 * (right / scale) @ np.linalg.solve(unit, right / scale) - 0.5 * log_det - np.sum(np.log(scale)))
 
 
 def _solve(matrix: Array, right: Array) -> Array:
@@ -175,7 +201,7 @@ class _Blocks:
         """Return the noise power (bins,) that the blocks not held out have."""
         others = _others(fold)
         rss, count = self.left(amplitude, others), int(self.counts[others].sum())
-        power = fit_noise(self.basis, rss, self.basis.counts * count, None, self.floor).power.copy()
+        power = fit_noise(self.basis, rss, self.basis.counts * count, None, self.floor, blocks=True).power.copy()
         # A block's mean wanders with all the record, which no noise of the block's own length tells.
         power[0] = max(power[0], float(rss[0]) / count)
         return power

@@ -177,7 +177,7 @@ def _kept(search: Search, held: HeldOut) -> tuple[list[Adopted], list[dict[str, 
     """Keep the names that predict what their fit did not see; say of the others why not."""
     named, rejected = [], []
     for adopted in search.of_kind(Kind.NAMED):
-        gained = held.gap(adopted.hypothesis.columns).gained
+        gained = held.gained(adopted.hypothesis.columns)
         if gained > 0.0 or adopted.hypothesis.unit_amplitude:
             named.append(adopted)
         else:

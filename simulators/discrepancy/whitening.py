@@ -171,12 +171,14 @@ def fit_noise(
     *,
     eased: float = 1.0,
     slow: bool = True,
+    blocks: bool = False,
 ) -> NoiseFit:
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
     ``eased`` is the least share of it that may hold, see :func:`ease`. Without ``slow``, nothing is tried but white
-    noise and rounding, or noise of the model's proportions and rounding.
+    noise and rounding, or noise of the model's proportions and rounding. The mean of a record tells of a bias, which a
+    random walk of one coefficient would swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
     """
     proportioned = stated is None and basis.shape is not None
     penalty = PENALTY_FREE if stated is None and basis.shape is None else PENALTY
@@ -194,7 +196,7 @@ def fit_noise(
         variances = np.zeros(len(start))
         variances[:terms] = start[0] / np.maximum(np.median(columns[:, :terms], axis=0), 1e-300)
         variances[1:] *= 0.1
-        _climb(columns, rss, freedom, floor, variances, 150)
+        _climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
         power = floor + columns @ variances
         value = _value(rss, freedom, power) - penalty[level]
         if best is None or value > best.value:
@@ -222,16 +224,13 @@ def _value(rss: Array, freedom: Array, power: Array) -> float:
 
 
 @compiled
-def _climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int) -> None:
-    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF).
-
-    The first bin, the mean, is left out: it tells of a bias, which a random walk of one coefficient would swallow.
-    """
+def _climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int, first: int) -> None:
+    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF)."""
     bins, terms = basis.shape
     for _ in range(rounds):
         up = np.zeros(terms)
         down = np.zeros(terms)
-        for b in range(1, bins):
+        for b in range(first, bins):
             power = floor[b]
             for j in range(terms):
                 power += basis[b, j] * variances[j]
