@@ -23,7 +23,7 @@ TERMS = {
 }
 """Effect, its parameter, and unit noise of its kind."""
 MARGIN = 5.0
-OTHER_COLOUR = 9.0
+OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
 _PLACES = 24.0
 

@@ -2,7 +2,8 @@
 
 The family is wide: white, quantisation, random walk of the rate, and first-order Gauss–Markov processes whose
 correlation times stand in a constant ratio, so that their sum takes the shape of flicker or of a single process of any
-correlation time. Each term's power in each bin of coefficients is linear in its variance.
+correlation time, and the rate of a mount that sways, which has no mean. Each term's power in each bin of coefficients
+is linear in its variance.
 """
 
 from __future__ import annotations
@@ -140,8 +141,10 @@ def cosine_basis(n: int, interval_s: float) -> Basis:
     correlation = 2.0
     while correlation < n / 8:
         decay = math.exp(-1.0 / correlation)
-        columns.append((1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2))
-        names.append(f"markov {correlation * interval_s:.3g} s")
+        markov = (1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2)
+        sway = 4.0 * (sine2 + 1.0 / n**2) * markov**2
+        columns += [markov, sway / sway.max()]
+        names += [f"markov {correlation * interval_s:.3g} s", f"sway {correlation * interval_s:.3g} s"]
         correlation *= _GM_RATIO
     counts = np.diff(bounds).astype(np.float64)
     return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s)
