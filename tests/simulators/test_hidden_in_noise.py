@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import closed_form
 import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
@@ -99,3 +100,17 @@ def test_a_register_that_stands_still_for_five_samples_of_a_turn_is_named() -> N
     samples["dv"][start : start + 5, 1] = samples["dv"][start - 1, 1]
     report = discrepancy([replace(case, samples=samples)], model())
     assert {(one["effect"], one["channel"]) for one in report.findings} == {("stuck_samples", "accel_y")}
+
+
+def test_what_one_turn_shows_is_not_refused_for_what_the_rest_cannot_tell(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The turn lies in one of the blocks that are held out: the others say nothing of the misalignment."""
+    monkeypatch.setattr(closed_form, "TURNS", ((20.5, 23.5, 9.0, 2),))
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += 4e-4 * true["gyro"][:, 2]
+
+    report = discrepancy([recording(change, 51)], model())
+    names = {(name["effect"], name["channel"]) for one in report.findings for name in (one, *one["alternatives"])}
+    assert ("misalignment", "gyro_x<-gyro_z") in names, report.document["text"]
