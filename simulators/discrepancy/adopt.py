@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.atoms import Steps, best_line, score_of
+from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
@@ -96,7 +96,6 @@ class Searcher:
         self.progress = progress or _silent
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
-        self._steps: dict[Slot, Steps] = {}
 
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
@@ -106,11 +105,10 @@ class Searcher:
         while len(adopted) < MOST_FINDINGS:
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
             best = self._next(current, adopted)
-            new = [] if best is None else [best.hypothesis]
             if best is None:
                 new, current = self._swallowed(adopted, current)
             else:
-                current = best.fit
+                new, current = [best.hypothesis], best.fit
             if not new:
                 break
             adopted, current = self._polish(*self._settle([*adopted, *new], current, adopted))
@@ -308,19 +306,13 @@ class Searcher:
                 basis, power = self.evidence.basis[slot], model[slot].power
                 left = self.library.left(slot, current.ids, current.amplitude)
                 score = score_of(left, power, basis, self.library.spread[slot])
-                first, gain = self.steps(slot).best(score, power)
+                first, gain = self.evidence.steps(slot).best(score, power)
                 if gain > _STEP_NATS:
                     late.append(self.step_trial(slot, first))
                 hertz, gain = best_line(score, power, basis)
                 if gain > math.log(basis.n) + _LINE_NATS:
                     late.append(self.line_trial(slot, hertz))
         return [h for h in late if h is not None]
-
-    def steps(self, slot: Slot) -> Steps:
-        """Return the steps of a slot."""
-        if slot not in self._steps:
-            self._steps[slot] = Steps(self.evidence.basis[slot], self.library.spread[slot])
-        return self._steps[slot]
 
     def step_trial(self, slot: Slot, first: int) -> Hypothesis | None:
         """Return a step before an analysed sample."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
 from inertial.documents import CHANNELS
+from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
@@ -76,6 +77,7 @@ class Evidence:
         self._steady: dict[Slot, tuple[Array, Array]] = {}
         self._steady = {slot: self.products(slot, self._always) for slot in self.slots}
         self._stacks: dict[Slot, tuple[tuple[int, ...], Array]] = {}
+        self._steps: dict[Slot, Steps] = {}
 
     @property
     def slots(self) -> list[Slot]:
@@ -87,8 +89,17 @@ class Evidence:
         stated = self.stated[slot]
         return self.floor[slot] if stated is None else stated
 
+    def steps(self, slot: Slot) -> Steps:
+        """Return all steps that a slot's channel could have made."""
+        if slot not in self._steps:
+            self._steps[slot] = Steps(self.basis[slot], self.library.spread[slot])
+        return self._steps[slot]
+
     def quiet(self, slot: Slot, rss: Array) -> NoiseFit:
-        """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
+        """Return the noise in which nothing slow is random: as stated, in the model's proportions, or white alone.
+
+        Rounding may go with each.
+        """
         basis, stated = self.basis[slot], self.stated[slot]
         fitted = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False)
         if stated is not None and np.median(fitted.power / stated) < 1.5:

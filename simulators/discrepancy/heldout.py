@@ -1,8 +1,10 @@
 """Prediction of data that a fit did not see: short blocks of the record, held out in turns.
 
 For each quarter that is held out, amplitudes and noise are fitted on the other three together, and that noise whitens
-what is held out, before and after. What the reference was off by in a block held out (a turn that came late) no other
-block can tell: it is fitted there, within its own σ, before and after alike.
+what is held out, before and after. A name stays if what is held out is more probable with it, all that the other blocks
+leave open taken into account; an amplitude of which they say nothing is nothing, give or take the effect's size. What
+the reference was off by in a block held out (a turn that came late) no other block can tell: it is fitted there, within
+its own σ, before and after alike.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.atoms import Steps, best_line, levels, score_of
+from simulators.discrepancy.atoms import best_line, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.whitening import STATED, NoiseFit
@@ -94,7 +94,7 @@ class _Trial:
 
 def _one_by_one(trial: _Trial) -> Sparse:
     """Take the step or line that explains most, then the next."""
-    places = Steps(trial.basis, trial.spread)
+    places = trial.evidence.steps(trial.slot)
     columns = np.empty((trial.basis.n, 0))
     left, quiet = trial.whole, trial.quiet(trial.whole)
     steps: list[int] = []

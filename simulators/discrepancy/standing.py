@@ -49,8 +49,8 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         said = scene.predicted[came, column] * interval[came]
         off = scene.measured[came, column] * interval[came] - said
         white = getattr(scene.model.noise, channel).white * (_FREE_SHARE if scene.model.noise.free else 1.0)
-        most = white * math.sqrt(scene.seen.interval_s) or math.inf
-        for first, last in _standing(increment, off, said, most):
+        white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
+        for first, last in _standing(increment, off, said, white_by_model):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
             duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
@@ -60,11 +60,11 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _standing(increment: Array, off: Array, said: Array, most: float) -> list[tuple[int, int]]:
+def _standing(increment: Array, off: Array, said: Array, white_by_model: float) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``off`` is by how much each increment is off the prediction, ``said``; ``most``: the white noise of a sample by the
-    model, for what goes on slowly beside it does not break runs.
+    ``off`` is by how much each increment is off the prediction, ``said``; ``white_by_model``: the σ of a sample's white
+    noise, for what goes on slowly beside it does not break runs.
     """
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
@@ -76,7 +76,8 @@ def _standing(increment: Array, off: Array, said: Array, most: float) -> list[tu
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
-    longest = max(_longest_by_rounding(min(fast, most) / step, same.size), _longest_by_custom(lengths, same.size))
+    by_rounding = _longest_by_rounding(min(fast, white_by_model) / step, same.size)
+    longest = max(by_rounding, _longest_by_custom(lengths, same.size))
     candidate = (lengths >= _SHORTEST_RUN) & (increment[first] != 0.0)  # a dead band stands at zero, and is not stuck
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     found = []
@@ -135,7 +136,7 @@ def _longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
 def _may_be_astray(
     off: Array, first: NDArray[np.int64], last: NDArray[np.int64], step: float, noise: float
 ) -> NDArray[np.bool_]:
-    """Return which runs :func:`_astray` is worth asking for: no other could pass."""
+    """Return which runs :func:`_astray` is worth asking for, by their nearest neighbours and half its bound."""
     sums = np.concatenate([[0.0], np.cumsum(off)])
     low, high = np.maximum(first - _ASIDE, 0), np.minimum(last + 1 + _ASIDE, off.size)
     run = sums[last + 1] - sums[first + 1]

@@ -183,19 +183,19 @@ def fit_noise(
     noise and rounding, or noise of the model's proportions and rounding. The mean of a record tells of a bias, which a
     random walk of one coefficient would swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
     """
-    proportioned = stated is None and basis.shape is not None
-    penalty = PENALTY_FREE if stated is None and basis.shape is None else PENALTY
+    shape = basis.shape if stated is None else None
+    penalty = PENALTY_FREE if stated is None and shape is None else PENALTY
     best: NoiseFit | None = None
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
     start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
     levels = [(WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start))]
-    if proportioned:
+    if shape is not None:
         levels.insert(0, (STATED, basis.fast))
     for level, terms in levels[: len(levels) if slow else 1]:
         columns = basis.power
-        if level == STATED and basis.shape is not None:
-            columns = np.column_stack([basis.shape, basis.power[:, 1:]])
+        if level == STATED and shape is not None:
+            columns = np.column_stack([shape, basis.power[:, 1:]])
         variances = np.zeros(len(start))
         variances[:terms] = start[0] / np.maximum(np.median(columns[:, :terms], axis=0), 1e-300)
         variances[1:] *= 0.1

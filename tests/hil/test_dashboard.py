@@ -38,13 +38,6 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
-    yield made
-    made.close()
-
-
 expect.set_options(timeout=60_000)
 
 

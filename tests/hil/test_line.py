@@ -21,13 +21,6 @@ LINE_ERRORS = {"bit_flips": 0.01, "cuts": 0.002, "garbage": 0.002}
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
-    yield made
-    made.close()
-
-
-@pytest.fixture
 def console(bench: Bench) -> Iterator[Console]:
     made = Console(bench)
     yield made

@@ -18,13 +18,6 @@ from service.processes import free_port
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
-    yield made
-    made.close()
-
-
-@pytest.fixture
 def service(bench: Bench) -> Iterator[ServiceProcess]:
     made = ServiceProcess(bench, free_port())
     yield made

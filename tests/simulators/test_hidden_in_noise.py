@@ -20,7 +20,7 @@ DRAWS = 40_000
 @pytest.mark.parametrize("sigma", [0.02, 0.5, 3.0])
 @pytest.mark.parametrize(("name", "parameter"), [("dead_band", "half_width"), ("saturation", "limit")])
 def test_mean_change_is_the_mean_of_what_becomes_of_noisy_readings(name: str, parameter: str, sigma: float) -> None:
-    """Against DRAWS simulated readings: within 5σ of their mean, of which 14 are looked at."""
+    """Against DRAWS simulated readings: within 5σ of their mean, of which 42 are looked at."""
     effect, values = get_effect(name), {parameter: 1.0}
     assert isinstance(effect, SampleEffect)
     rng = np.random.default_rng(5)
