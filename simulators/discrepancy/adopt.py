@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.atoms import best_line, score_of
-from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
+from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import NoiseFit, freely_rounded_hz
@@ -266,12 +266,16 @@ class Searcher:
         if name == "time":
             width = 0.6 * self.library.scenes[0].seen.interval_s
         best, value = hypothesis, self._gain(hypothesis, look)
+        places = hypothesis.places
+        if name in USUAL and is_usual(hypothesis.shape):
+            places *= FITTED_PLACES
+            value += math.log(FITTED_PLACES)
         for _ in range(_ZOOMS[name]):
             for sign in (-1.0, 1.0):
                 at = middle * math.exp(sign * width) if relative else middle + sign * width
                 if name == "time_constant" and at > self.library.longest_s:
                     continue
-                trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, hypothesis.places)
+                trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, places)
                 if trial is None:
                     continue
                 gain = look.gain(trial)

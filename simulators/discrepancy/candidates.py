@@ -42,6 +42,10 @@ FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
 EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
+USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
+"""Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
+FITTED_PLACES = 30.0
+"""What any other costs, of which there are as many as the data can tell apart: it stands for a bias as well."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
@@ -234,7 +238,7 @@ class Library:
                     shapes = shapes[len(shapes) // 2 :][:1]
                 for shape in shapes:
                     places = max(float(len(shapes)), _PLACES.get(effect.name, 1.0))
-                    self.trial(effect.name, channel, shape, places)
+                    self.trial(effect.name, channel, shape, places if is_usual(shape) else places * FITTED_PLACES)
         elif not self._wanted(effect):
             return
         elif effect.name in SMALL:
@@ -274,12 +278,14 @@ class Library:
             case "bias_temperature" | "scale_temperature":
                 mean = float(np.mean([np.mean(s.seen.temperature_c[:, 0]) for s in self.scenes]))
                 first = float(scene.seen.temperature_c[0, 0])
-                return [{"reference": t} for t in dict.fromkeys((mean, 20.0, 25.0, first))] if self._warms() else []
+                references = dict.fromkeys((mean, *USUAL["reference"], first))
+                return [{"reference": t} for t in references] if self._warms() else []
             case "supply_sensitivity":
                 volts = [float(np.mean(s.seen.supply_v)) for s in self.scenes]
                 spread = max(float(np.ptp(s.seen.supply_v)) for s in self.scenes)
                 steady = spread < 0.05 or not all(s.supplied for s in self.scenes)
-                return [] if steady else [{"nominal": v} for v in dict.fromkeys((float(np.mean(volts)), 28.0))]
+                nominals = dict.fromkeys((float(np.mean(volts)), *USUAL["nominal"]))
+                return [] if steady else [{"nominal": v} for v in nominals]
             case "dead_band" | "saturation":
                 assert isinstance(effect, SampleEffect)
                 return self._felt(effect, channel, effect.parameters[0].name)
@@ -413,6 +419,11 @@ class Library:
         for name, raw in by_name.items():
             if self._only is None or (name, CHANNELS[channel]) in self._only:
                 self.add(Kind.EMPIRICAL, name, CHANNELS[channel], raw)
+
+
+def is_usual(shape: Mapping[str, float]) -> bool:
+    """Whether a coefficient is counted from where coefficients are counted from."""
+    return all(value in USUAL[name] for name, value in shape.items() if name in USUAL)
 
 
 _SPARSE = {"size_effect", "level_error"}

@@ -192,26 +192,26 @@ def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SA
         np.nan_to_num(data.supply_v),
         vibration_mean_square(setup, data.edges_s[1:] - 0.5 * step),
     )
-    predicted = _readings(model, seen)
-    measured = data.rate.copy()
-    shaken = np.zeros_like(accel)
-    if np.any(seen.vibration_mps2_squared):
-        for _ in range(_ROUNDS):  # what a reading says of its input depends on the model's scale, so again
-            shaken += _shaken(setup, seen, measured - predicted)
-            seen = replace(seen, accel_mps2=accel + shaken)
-            predicted = _readings(model, seen)
     group = -(-len(interval) // most_samples)
-    return Scene(
-        recording,
-        data,
-        setup,
-        seen,
-        predicted,
-        measured,
-        shaken,
-        model,
-        group,
+    scene = Scene(
+        recording, data, setup, seen, _readings(model, seen), data.rate.copy(), np.zeros_like(accel), model, group
     )
+    return following_vibrations(scene)
+
+
+def following_vibrations(scene: Scene) -> Scene:
+    """Return the scene with the course of its vibrations as the accelerometers measured it."""
+    if not scene.shaking().any():
+        return scene
+    accel = scene.seen.accel_mps2 - scene.shaken
+    seen, predicted, shaken = replace(scene.seen, accel_mps2=accel), scene.predicted, np.zeros_like(accel)
+    if scene.shaken.any():
+        predicted = _readings(scene.model, seen)
+    for _ in range(_ROUNDS):  # what a reading says of its input depends on the model's scale, so again
+        shaken += _shaken(scene.setup, seen, scene.measured - predicted)
+        seen = replace(seen, accel_mps2=accel + shaken)
+        predicted = _readings(scene.model, seen)
+    return replace(scene, seen=seen, predicted=predicted, shaken=shaken)
 
 
 def _levelled(setup: Setup, data: Repaired) -> Setup:

@@ -117,9 +117,12 @@ class Evidence:
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
         self.floor[slot] = basis.stated(noise.__class__(), lsb)
         measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
-        self.stated[slot] = basis.stated(noise, lsb, (measured, predicted)) if declared else None
+        stated = basis.stated(noise, lsb, (measured, predicted)) if declared else None
         if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
             basis = basis.rounded(noise, (measured, predicted))
+            if stated is not None:
+                stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
+        self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
             basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))
         self.basis[slot] = basis

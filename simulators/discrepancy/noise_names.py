@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import idct
 
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
@@ -26,6 +27,8 @@ MARGIN = 5.0
 OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
 _PLACES = 24.0
+_OF_SAMPLES = ("random_walk", "quantisation")  # whose size is that of single samples
+_LEVEL_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def _of_channel(
         free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
         wide += _whittle(rss, basis.counts, free.power)
         power[slot] = ease(stated, free.power, evidence.eased[slot])
+    tails = max(_tails(evidence, fit, slot) for slot in slots)
     found: list[NoiseFinding] = []
     value = _total(evidence, fit, power)
     while len(found) < 2:
@@ -84,7 +88,8 @@ def _of_channel(
             variance = _best(evidence, fit, power, unit)
             changed = {s: power[s] + variance * evidence.basis[s].stated(unit, 0.0) for s in slots}
             gain = _total(evidence, fit, changed) - value
-            trials.append((bayes_factor(gain, 1, _PLACES), gain, effect, variance, changed))
+            certain = gain / tails if effect in _OF_SAMPLES else gain
+            trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variance, changed))
         trials.sort(key=lambda trial: -trial[0])
         score, gain, effect, variance, changed = trials[0]
         if score < margin:
@@ -92,9 +97,10 @@ def _of_channel(
         ties = tuple(t[2] for t in trials[1:] if t[0] > score - 3.0)
         size = math.sqrt(variance)
         sigma = _sigma(evidence, changed, TERMS[effect][1]) / (2.0 * size)
+        sigma *= math.sqrt(tails) if effect in _OF_SAMPLES else 1.0
         found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
         power, value = changed, value + gain
-    gained = wide - value
+    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
     total = sum(f.gain for f in found)
     if gained > OTHER_COLOUR + 0.02 * total:
         lower = all(np.median(fit.noise[slot].power / power[slot]) < 0.9 for slot in slots)
@@ -106,6 +112,23 @@ def _of_channel(
             band = (float(odd.min()), float(odd.max())) if odd.size else (0.0, float(frequency[-1]))
             return [], [OtherNoise(channel, gained + total, band)]
     return found, []
+
+
+def _tails(evidence: Evidence, fit: Fit, slot: Slot) -> float:
+    """Return by how much heavy tails raise the variance of a variance found from samples: 1 + excess kurtosis / 2."""
+    left = evidence.library.left(slot, fit.ids, fit.amplitude)
+    counts = evidence.basis[slot].counts.astype(np.int64)
+    white = idct(left / np.sqrt(np.repeat(fit.noise[slot].power, counts)), norm="ortho")
+    kurtosis = float(np.mean(white**4) / np.mean(white**2) ** 2)
+    return max(1.0, 0.5 * (kurtosis - 1.0))
+
+
+def _levelled(evidence: Evidence, fit: Fit, slot: Slot, power: Array, tails: float) -> Array:
+    """Return the power (b,) at the level that fits best among those that its samples leave open."""
+    counts = evidence.basis[slot].counts
+    off = _LEVEL_SIGMAS * math.sqrt(2.0 * tails / float(counts.sum()))
+    level = float(np.sum(fit.rss[slot] / power) / counts.sum())
+    return np.asarray(power * np.clip(level, 1.0 - off, 1.0 + off))
 
 
 def _whittle(rss: Array, counts: Array, power: Array) -> float:

@@ -17,7 +17,7 @@ from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import Clipped, find_clipped
-from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare
+from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
@@ -108,7 +108,7 @@ def discrepancy(
 
 def _rewired(scene: Scene, mistakes: list[Mistake]) -> Scene:
     data = replace(scene.data, sent=mend(scene.data.sent, mistakes))
-    return replace(scene, measured=mend(scene.measured, mistakes), data=data)
+    return following_vibrations(replace(scene, measured=mend(scene.measured, mistakes), data=data))
 
 
 def _report(

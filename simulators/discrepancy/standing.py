@@ -25,7 +25,8 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
-_FREE_SHARE = 0.5  # of a white noise of which a model knows the size about
+FREE_SHARE = 0.5
+"""Of a white noise of which a model knows the size about: so much is there at least."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         increment = data.sent[came, column]
         said = scene.predicted[came, column] * interval[came]
         off = scene.measured[came, column] * interval[came] - said
-        white = getattr(scene.model.noise, channel).white * (_FREE_SHARE if scene.model.noise.free else 1.0)
+        white = getattr(scene.model.noise, channel).white * (FREE_SHARE if scene.model.noise.free else 1.0)
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
         for first, last in _standing(increment, off, said, white_by_model):
             start, end = int(came[first]), int(came[last])
@@ -76,7 +77,7 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float) 
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
-    by_rounding = _longest_by_rounding(min(fast, white_by_model) / step, same.size)
+    by_rounding = longest_by_rounding(min(fast, white_by_model) / step, same.size)
     longest = max(by_rounding, _longest_by_custom(lengths, same.size))
     candidate = (lengths >= _SHORTEST_RUN) & (increment[first] != 0.0)  # a dead band stands at zero, and is not stuck
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
@@ -113,7 +114,7 @@ def _noise(increment: Array) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(sums, 2)))) / math.sqrt(6.0 * _BLOCK)
 
 
-def _longest_by_rounding(steps: float, size: int) -> float:
+def longest_by_rounding(steps: float, size: int) -> float:
     """Return the length that runs reach by chance when noise of so many steps a sample is summed and rounded.
 
     A random walk stays within one step for L samples with probability exp(-λL), λ = π²σ²/2 for small σ, the step

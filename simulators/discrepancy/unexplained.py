@@ -183,7 +183,7 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
     white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
     came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
     noise = getattr(scene.model.noise, CHANNELS[slot[1]])
-    highest_hz = min(_HIGHEST_HZ, freely_rounded_hz(noise, basis.interval_s))
+    highest_hz = min(_HIGHEST_HZ, freely_rounded_hz(noise, basis.interval_s)) if scene.turns() else _HIGHEST_HZ
     best, when, bands, highest = 0.0, 0.0, 0, _FIRST
     while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * highest_hz):
         count = highest // _COEFFICIENTS

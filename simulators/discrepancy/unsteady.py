@@ -29,6 +29,8 @@ _CERTAIN = 3.0  # σ by which noise must be larger
 _FEWEST = 24
 _ORDINARY = 0.9  # of the second differences
 _BANDS = 60
+_FEWEST_EACH = 3  # block means for each input that may act on them
+_SEEN = 1e-6  # of the largest input's bend
 
 
 def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
@@ -44,12 +46,13 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     block = max(1, round(_BLOCK_S / scene.interval_s))
     white = math.isinf(freely_rounded_hz(getattr(scene.model.noise, CHANNELS[channel]), scene.interval_s))
     blocks = (1, block) if white else (block,)  # the rounding of single samples is another in each motion
+    inputs = _inputs(scene, channel)
     for rows in moving:
         if rows.sum() < _FEWEST or still.sum() < _FEWEST:
             continue
         ratios = [1.0]
         for block in blocks:
-            calm, busy = _noise(residual, still, block), _noise(residual, rows, block)
+            calm, busy = _noise(residual, still, block), _noise(residual, rows, block, inputs)
             if calm is not None and busy is not None and calm > 0.0:
                 sigma = _SIGMA * math.sqrt(block / still.sum() + block / rows.sum())
                 if busy / calm > max(_SIGNIFICANT, math.exp(_CERTAIN * sigma)):
@@ -81,17 +84,38 @@ def _alike(noise: Array, n: int) -> Array:
     return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))
 
 
-def _noise(values: Array, rows: NDArray[np.bool_], block: int) -> float | None:
+def _inputs(scene: Scene, channel: int) -> Array:
+    """Return what acts on the sensors, and products of two of them (n, 27), as analysed."""
+    sensed = np.hstack([scene.seen.accel_mps2, scene.seen.gyro_radps])
+    sensed = sensed / np.maximum(np.max(np.abs(sensed), axis=0), 1e-300)
+    first, second = np.triu_indices(sensed.shape[1])
+    acting = np.hstack([sensed, sensed[:, first] * sensed[:, second]])
+    return np.column_stack([scene.analysed(column, channel) for column in acting.T])
+
+
+def _noise(values: Array, rows: NDArray[np.bool_], block: int, inputs: Array | None = None) -> float | None:
     """Return the noise of block means: the mean size of their second differences but the largest, which are systematic.
 
-    No median: of readings in coarse steps it is zero as soon as half of the differences are.
+    What ``inputs`` (n, k) that change within a few blocks explain of them is no noise. No median: of readings in coarse
+    steps it is zero as soon as half of the differences are.
     """
-    kept = values[rows]
-    if len(kept) < _FEWEST * block:
+    if rows.sum() < _FEWEST * block:
         return None
-    means = kept[: len(kept) // block * block].reshape(-1, block).mean(axis=1)
-    sizes = np.sort(np.abs(np.diff(means, 2)))
-    return float(sizes[: math.ceil(_ORDINARY * sizes.size)].mean())
+    bends = _bends(values[rows], block)
+    freedom = 1.0
+    if block > 1 and inputs is not None:
+        known = _bends(inputs[rows], block)[:, : max(1, len(bends) // _FEWEST_EACH)]
+        size, _, rank, _ = np.linalg.lstsq(known, bends, rcond=_SEEN)
+        bends = bends - known @ size
+        freedom = 1.0 - int(rank) / len(bends)
+    sizes = np.sort(np.abs(bends))
+    return float(sizes[: math.ceil(_ORDINARY * sizes.size)].mean()) / math.sqrt(freedom)
+
+
+def _bends(values: Array, block: int) -> Array:
+    """Return the second differences of block means (m, …)."""
+    count = len(values) // block
+    return np.asarray(np.diff(values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1), 2, axis=0))
 
 
 def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:

@@ -28,6 +28,9 @@ _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's h
 _STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _MOMENTS = 4  # of each at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
+_WEIGHED = 200  # rounds
+ROUNDED_AT = (0.5, 1.0, 2.0)
+"""Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
 STATED, WHITE, FLICKER, WIDE = range(4)
 """Levels of the noise family: as the model states, or in its proportions; white and quantisation free; flicker as well;
@@ -77,17 +80,33 @@ class Basis:
     def rounded(self, noise: ChannelNoise, moved: tuple[Array, Array]) -> Basis:
         """Return the basis for a readout in steps, as :meth:`stated` takes it, of which the model knows the size about.
 
-        Its rounding errors are white or not as the white noise is half, once or twice what the model says.
+        Its rounding errors are white or not as the white noise is half to twice what the model says.
         """
         white_rounding = self.power[:, self.names.index("quantisation")]
         names, columns = [], []
-        for share in (0.5, 1.0, 2.0):
+        for share in ROUNDED_AT:
             jolted = noise.model_copy(update={"white": share * noise.white})
             columns.append(white_rounding * self._rounding(jolted, *moved))
             names.append(f"rounding at {share:g} of the white noise")
         power = np.column_stack([self.power[:, : self.fast], *columns, self.power[:, self.fast :]])
         names = [*self.names[: self.fast], *names, *self.names[self.fast :]]
         return replace(self, power=power, names=tuple(names), fast=self.fast + len(columns))
+
+    def likeliest(self, stated: Array, noise: ChannelNoise, rss: Array) -> Array:
+        """Return the stated power (b,) with the mean of a :meth:`rounded` basis' rounding that fits ``rss`` (b,) best.
+
+        A model states how large white noise is and not how it is spread: heavy tails make the lines of rounding sharp
+        at the top and wide at the foot.
+        """
+        columns = self.power[:, self.fast - len(ROUNDED_AT) : self.fast]
+        columns = columns * noise.quantisation**2 / (12.0 * self.interval_s**2)
+        others = stated - columns[:, ROUNDED_AT.index(1.0)]
+        weights = np.full(len(ROUNDED_AT), 1.0 / len(ROUNDED_AT))
+        for _ in range(_WEIGHED):
+            power = others + columns @ weights
+            weights *= (columns.T @ (rss / power**2)) / (columns.T @ (self.counts / power))
+            weights /= weights.sum()
+        return np.asarray(others + columns @ weights)
 
     def _rounding(self, noise: ChannelNoise, measured: Array, predicted: Array) -> Array:
         """Return the power of the rounding error (b,) over that of white rounding errors, step²/12."""

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 
+from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
+from simulators.discrepancy.unsteady import level_spread
 from simulators.effects import get_effect
 from simulators.effects.base import SampleEffect
 
@@ -114,3 +116,31 @@ def test_what_one_turn_shows_is_not_refused_for_what_the_rest_cannot_tell(
     report = discrepancy([recording(change, 51)], model())
     names = {(name["effect"], name["channel"]) for one in report.findings for name in (one, *one["alternatives"])}
     assert ("misalignment", "gyro_x<-gyro_z") in names, report.document["text"]
+
+
+def test_a_few_outliers_are_no_larger_random_walk() -> None:
+    """Sixteen make up a sixth of all power, which of Gaussian noise is eight σ more than stated."""
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[150:4800:300, 3] += 7.0 * GYRO_SIGMA * np.resize([1.0, -1.0], 16)
+
+    report = discrepancy([recording(change, 52, moving=False)], model())
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]
+
+
+def test_what_depends_on_the_attitude_is_no_noise_of_turns() -> None:
+    """Noise that is larger while the block turns is weighed down; what a turn does to a sensor is not noise."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 5] += 1e-5 * true["accel"][:, 0] ** 2
+
+    scene = compare(recording(change, 55), model())
+    assert np.all(level_spread(scene, 5)[1] == 1.0)
+    noisy = recording(change, 55)
+    turning = np.any([(noisy.samples["time"] > a) & (noisy.samples["time"] <= b) for a, b, *_ in closed_form.TURNS], 0)
+    samples = noisy.samples.copy()
+    samples["dtheta"][turning, 2] += (
+        3.0 * WHITE["gyro"] / np.sqrt(RATE_HZ) * np.random.default_rng(56).standard_normal(turning.sum())
+    )
+    spread = level_spread(compare(replace(noisy, samples=samples), model()), 5)[1]
+    assert 2.5 < spread.max() < 4.0  # √10

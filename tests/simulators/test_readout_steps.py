@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import closed_form
 import numpy as np
 import pytest
 from closed_form import RATE_HZ, WHITE, model, recording
@@ -86,3 +87,65 @@ def test_a_clipped_channel_is_named_with_its_limit_and_no_other_course_is_seen_i
     assert set(found) - {("rate_random_walk", "accel_y")} == {("saturation", "accel_y")}
     limit = found["saturation", "accel_y"]["limit"]
     assert abs(limit["value"] - 5.0) < 3.0 * limit["sigma"]
+
+
+@pytest.mark.parametrize("step", [0.0, STEP_RAD])
+def test_a_limit_met_by_a_turn_at_one_rate_is_told_by_the_noise_that_is_gone(step: float) -> None:
+    """No other turn is as fast: any curve that bends beyond 9 deg/s explains the mean, and keeps the noise."""
+    case, limit = recording(None, 34), np.radians(17.5)
+    samples = case.samples.copy()
+    samples["dtheta"][:, 2] = np.clip(samples["dtheta"][:, 2] * RATE_HZ, -limit, limit) / RATE_HZ
+    if step:
+        samples["dtheta"] = in_steps(samples["dtheta"], step)
+    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
+    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=step) for axis in "xyz"}
+    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("saturation", "gyro_z")]
+    assert abs(report.findings[0]["parameters"]["limit"]["value"] - limit) < 1e-3 * limit
+
+
+def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
+    case = recording(None, 35, moving=False)
+    samples, rng = case.samples.copy(), np.random.default_rng(35)
+    for start in rng.uniform(0.0, 220.0, 8):
+        lag = np.clip(samples["time"] - start, 0.0, None)
+        wave = np.exp(-lag / 2.0) * np.sin(2.0 * np.pi * rng.uniform(0.8, 2.2) * lag)
+        samples["dtheta"][:, 1] += 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ) * rng.choice([-1.0, 1.0]) * wave
+    samples["dtheta"] = in_steps(samples["dtheta"], 2.0 * STEP_RAD)
+    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
+    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=2.0 * STEP_RAD) for axis in "xyz"}
+    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
+    assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
+
+
+def test_sensors_exchanged_while_shaken_have_each_their_own_course_and_noise() -> None:
+    case = recording(None, 36)
+    samples, rng = case.samples.copy(), np.random.default_rng(36)
+    shaken = (samples["time"] > 205.0) & (samples["time"] <= 235.0)
+    course = rng.standard_normal(int(shaken.sum()))
+    samples["dv"][shaken] += 0.2 / RATE_HZ * (course - course.mean())[:, None] * np.array([0.28, 0.0, 0.96])
+    samples["dv"] = samples["dv"][:, [2, 1, 0]]
+    motion = {"kind": "vibration", "start_s": 205.0, "end_s": 235.0, "grms": 0.02, "band_hz": [0.1, 10.0]}
+    meta = {
+        **case.meta.model_dump(exclude_none=True),
+    }
+    meta["motion"].append({**motion, "axis": [0.28, 0.0, 0.96]})
+    report = discrepancy([Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)], model())
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("axis_swap", "accel_x<-accel_z")]
+    assert report.verdict == "named"
+
+
+@pytest.mark.parametrize("seed", [37, 38])
+def test_heavy_tails_under_rounding_are_noise_as_stated(seed: int) -> None:
+    """Of the same variance, but with a smaller core: lines of rounding are sharper at the top and wider at the foot."""
+    case = recording(None, seed, moving=False)
+    samples, rng = case.samples.copy(), np.random.default_rng(seed)
+    sigma = WHITE["gyro"] * np.sqrt(1.0 / RATE_HZ)
+    n = len(samples)
+    tails = rng.standard_normal((n, 3)) * np.where(rng.random((n, 3)) < 0.01, 6.0, 1.0) / np.sqrt(1.35)
+    samples["dtheta"] = in_steps(closed_form.truth(False, False)["gyro"] / RATE_HZ + sigma * tails, 2.0 * sigma)
+    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
+    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=2.0 * sigma) for axis in "xyz"}
+    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]
