@@ -20,7 +20,7 @@ from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.whitening import NoiseFit, freely_rounded_hz
+from simulators.discrepancy.whitening import STATED, NoiseFit, freely_rounded_hz
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -35,6 +35,7 @@ MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
 _SHARPENED = 3
+_TOGETHER = 3  # names tried at once
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
@@ -106,7 +107,7 @@ class Searcher:
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
             best = self._next(current, adopted)
             if best is None:
-                new, current = self._swallowed(adopted, current)
+                new, current = self._together(adopted, current) or self._swallowed(adopted, current)
             else:
                 new, current = [best.hypothesis], best.fit
             if not new:
@@ -137,9 +138,48 @@ class Searcher:
             return curve
         return best if best is not None and best.score > MARGIN else None
 
+    def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit] | None:
+        """Return names that only together explain what a wide noise model takes for noise, and the fit with them.
+
+        Each alone leaves so much that the noise stays wide, in which it has gained next to nothing.
+        """
+        wide = {slot for slot in self.evidence.slots if current.noise[slot].level != STATED}
+        chosen: list[Hypothesis] = []
+        fit = current
+        while wide and len(chosen) < _TOGETHER:
+            best = self._best_in_quiet(wide, fit, [*adopted, *chosen])
+            if best is None:
+                return None
+            chosen.append(best)
+            fit = self._fit_of([*adopted, *chosen], current)
+            count, places = sum(len(h.columns) for h in chosen), math.prod(self._places(h) for h in chosen)
+            if bayes_factor(fit.value - current.value, count, places) > MARGIN:
+                return chosen, fit
+        return None
+
+    def _best_in_quiet(self, slots: set[Slot], fit: Fit, taken: Sequence[Hypothesis]) -> Hypothesis | None:
+        """Return the name that explains most in some slots if nothing slow is random there."""
+        quiet = self.quiet(fit)
+        look = Look(self.evidence, fit, quiet)
+        names = {h.name for h in taken}
+        pool = [h for h in self.library.hypotheses if max(h.columns) < self.evidence.base]
+        pool = [h for h in (*pool, *self._late(fit, quiet)) if h.kind is Kind.NAMED and h.name not in names]
+        pool = [h for h in pool if self.evidence.touched(h.columns) & slots]
+        scores = [bayes_factor(look.gain(h), len(h.columns), self._places(h)) for h in pool]
+        if not scores or max(scores) < MARGIN:
+            return None
+        return self._refine(pool[int(np.argmax(scores))], fit, look)
+
     def _swallowed(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
-        """Return a step, a line or two that a wide noise model has swallowed, and the fit with them."""
+        """Return what a wide noise model has swallowed, a name or a step, a line or two, and the fit with it.
+
+        That something is there is certain by then, so that the name needs no more evidence than to stay.
+        """
         for one in find_sparse(self.evidence, current):
+            named = [s for s in self.rank(current, adopted) if s.hypothesis.kind is Kind.NAMED]
+            named = [s for s in named if one.slot in self.evidence.touched(s.hypothesis.columns)]
+            if named and named[0].score > 0.5 * MARGIN:
+                return [named[0].hypothesis], named[0].fit
             if len(one.steps) + len(one.lines_hz) > _FEW:
                 continue
             trials = [self.step_trial(one.slot, first) for first in one.steps]
@@ -288,15 +328,17 @@ class Searcher:
         return best
 
     def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
-        """Take the column as the chord to the amplitude it is found to have."""
+        """Take the columns as chords to the amplitudes they are found to have."""
+        largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
         for _ in range(3):
             fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
-            amplitude = float(fit.amplitude[fit.ids.index(hypothesis.columns[0])])
-            largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
-            amplitude = min(max(amplitude, -largest), largest)
-            if abs(amplitude - hypothesis.chord) < 0.02 * abs(hypothesis.chord) or abs(amplitude) < 1e-9:
+            found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
+            sizes = np.where(np.abs(found) < 1e-9, 1e-9, np.clip(found, -largest, largest))
+            known = np.array(hypothesis.chord)
+            if np.max(np.abs(sizes - known)) < 0.02 * np.max(np.abs(known)) or np.max(np.abs(found)) < 1e-9:
                 break
-            trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, amplitude)
+            at = tuple(sizes.tolist())
+            trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, at, hypothesis.shape)
             if trial is None or self._gain(trial, look) < self._gain(hypothesis, look) - 1.0:
                 break
             hypothesis = trial

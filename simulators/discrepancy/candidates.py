@@ -50,6 +50,8 @@ SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
+ACROSS_S = 4e-3
+"""How near a turn's start or end is to a sample's edge that it may lie beyond it."""
 TIMING_SIGMA_S = 1e-3
 """How well a schedule is kept where nothing is said of it: as a whole, and each start and end of a turn."""
 
@@ -93,8 +95,8 @@ class Hypothesis:
     shape: Mapping[str, float] = field(default_factory=dict)
     places: float = 1.0
     unit_amplitude: bool = False
-    chord: float = 0.0
-    """Size at which a column that is not quite linear was taken; 0 for linear ones."""
+    chord: tuple[float, ...] = ()
+    """Sizes at which columns that are not quite linear were taken; none for linear ones."""
 
     @property
     def name(self) -> tuple[str, str]:
@@ -194,7 +196,7 @@ class Library:
         shape: Mapping[str, float] | None = None,
         places: float = 1.0,
         unit_amplitude: bool = False,
-        chord: float = 0.0,
+        chord: tuple[float, ...] = (),
     ) -> Hypothesis | None:
         """Keep a hypothesis given as its columns; none where one has nothing in it."""
         ids = [self.add_column(column) for column in raw]
@@ -217,14 +219,16 @@ class Library:
         raw = self._sensor_columns(found, channel, shape)
         return self.add(Kind.NAMED, effect, channel, raw, shape, places, isinstance(found, SampleEffect))
 
-    def setup_trial(self, effect: str, channel: str, size: float) -> Hypothesis | None:
-        """Add a set-up effect's column, taken as the chord to ``size``, so that large errors need no small angles."""
-        raw: list[tuple[Slot, Array]] = []
+    def setup_trial(
+        self, effect: str, channel: str, sizes: tuple[float, ...], shape: Mapping[str, float] | None = None
+    ) -> Hypothesis | None:
+        """Add a set-up effect's columns, taken as chords to ``sizes``, so that large errors need no small angles."""
+        raw: list[list[tuple[Slot, Array]]] = [[] for _ in sizes]
         for s, scene in enumerate(self.scenes):
-            difference = setup_difference(scene, effect, channel, size) / size
-            raw += [((s, c), difference[:, c]) for c in range(6)]
-        places = float(len(DELAY_SAMPLES)) if effect in ("latency", "clock_scale") else 1.0
-        return self.add(Kind.NAMED, effect, channel, [raw], {}, places, chord=size)
+            for column, change in zip(raw, _chords(scene, effect, channel, sizes, shape or {}), strict=True):
+                column += [((s, c), change[:, c]) for c in range(6)]
+        places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
+        return self.add(Kind.NAMED, effect, channel, raw, shape, float(places), chord=sizes)
 
     def _wanted(self, effect: Effect) -> list[str]:
         names = effect.channel_names()
@@ -242,26 +246,17 @@ class Library:
         elif not self._wanted(effect):
             return
         elif effect.name in SMALL:
-            self.setup_trial(effect.name, "all", SMALL[effect.name])
+            self.setup_trial(effect.name, "all", (SMALL[effect.name],))
         elif effect.name in ("latency", "clock_scale"):
             unit = self.scenes[0].seen.interval_s
             if effect.name == "clock_scale":
                 unit /= float(self.scenes[0].data.edges_s[-1] - self.scenes[0].data.edges_s[0])
             for channel in self._wanted(effect):
                 for factor in DELAY_SAMPLES:
-                    self.setup_trial(effect.name, channel, factor * unit)
+                    self.setup_trial(effect.name, channel, (factor * unit,))
         elif effect.name == "level_error":
             for rides in (0.0, 1.0):
-                raw = [
-                    [
-                        ((s, c), difference[:, c])
-                        for s, scene in enumerate(self.scenes)
-                        for difference in [_tilted(scene, axis, rides)]
-                        for c in range(6)
-                    ]
-                    for axis in range(2)
-                ]
-                self.add(Kind.NAMED, "level_error", "all", raw, {"rides": rides}, 2.0)
+                self.setup_trial("level_error", "all", (TILT_RAD, TILT_RAD), {"rides": rides})
 
     def shapes(self, effect: Effect, channel: str) -> list[dict[str, float]]:
         """Return the grid of shapes of an effect."""
@@ -347,7 +342,8 @@ class Library:
             sooner, later = (_parts(index, scene, _with(scene.setup, place, m), TIME_S) for m in _shifted(turn))
             radians = ANGLE * abs(turn.rate_radps * (turn.end_s - turn.start_s))
             larger = _parts(index, scene, _with(scene.setup, place, _faster(turn)), radians)
-            timing = [column for raw in (sooner, later) if (column := self._column(raw)) is not None]
+            shifts = [sooner, later, *_across(scene, sooner, turn.start_s), *_across(scene, later, turn.end_s)]
+            timing = [column for raw in shifts if (column := self._column(raw)) is not None]
             found.append(_TurnColumns(place, turn, timing, self._column(larger)))
         return found
 
@@ -392,7 +388,8 @@ class Library:
         if level:
             rides = float(reference.level_frame == "body")
             for axis in range(2):
-                self._always(index, _tilted(scene, axis, rides), level * degree)
+                tilt = tuple(TILT_RAD * (k == axis) for k in range(2))
+                self._always(index, _tilted(scene, tilt, rides) / TILT_RAD, level * degree)
         if turns:
             self._always(index, setup_difference(scene, "latency", "all", TIME_S) / TIME_S, TIMING_SIGMA_S)
         for one in turns:
@@ -481,15 +478,50 @@ def _parts(index: int, scene: Scene, setup: Setup, size: float) -> list[tuple[Sl
     return [((index, c), change[:, c]) for c in range(6)]
 
 
+def _across(scene: Scene, raw: list[tuple[Slot, Array]], at_s: float) -> list[list[tuple[Slot, Array]]]:
+    """Return what a shift of a turn's start or end adds once it has passed the edge of a sample as analysed near by.
+
+    The rate jumps in the sample before or after then, where ``raw`` (n,), which holds for the smallest shifts, has it
+    in its own. With both, a shift across the edge is described.
+    """
+    group, edges_s = scene.group, scene.data.edges_s[:: scene.group]
+    place = int(np.searchsorted(edges_s, at_s)) - 1
+    if not 1 <= place < len(edges_s) - 3:
+        return []
+    found = []
+    for to, edge_s in ((place - 1, edges_s[place]), (place + 1, edges_s[place + 1])):
+        if abs(at_s - edge_s) < ACROSS_S:
+            here, there, beside = (slice(k * group, (k + 1) * group) for k in (place, to, 2 * place - to))
+            moved = []
+            for slot, values in raw:
+                inside = min(values[there].mean(), values[beside].mean(), key=abs)
+                jump, values = values[here] - inside, values.copy()
+                values[here] -= jump
+                values[there] += jump
+                moved.append((slot, values))
+            found.append(moved)
+    return found
+
+
 def _place_in_meta(scene: Scene, turn: Turn) -> int:
     return next(i for i, m in enumerate(scene.recording.meta.motion) if m.start_s == turn.start_s)
 
 
-def _tilted(scene: Scene, axis: int, rides: float) -> Array:
-    values = {"tilt_1": 0.0, "tilt_2": 0.0, "rides": rides}
-    values[f"tilt_{axis + 1}"] = TILT_RAD
+def _tilted(scene: Scene, tilt: tuple[float, ...], rides: float) -> Array:
+    """Return what a level error of two tilts [rad] makes of the prediction, less it (n, 6)."""
+    values = {"tilt_1": tilt[0], "tilt_2": tilt[1], "rides": rides}
     setup = get_effect("level_error").arrange(scene.setup, Occasion("all", values, 1.0))
-    return (scene.predict(setup) - scene.predicted) / TILT_RAD
+    return scene.predict(setup) - scene.predicted
+
+
+def _chords(
+    scene: Scene, effect: str, channel: str, sizes: tuple[float, ...], shape: Mapping[str, float]
+) -> list[Array]:
+    """Return columns (n, 6) of a set-up effect, which at amplitudes ``sizes`` add up to what it makes there."""
+    if effect != "level_error":
+        return [setup_difference(scene, effect, channel, sizes[0]) / sizes[0]]
+    first, both = (_tilted(scene, (sizes[0], second), shape["rides"]) for second in (0.0, sizes[1]))
+    return [first / sizes[0], (both - first) / sizes[1]]
 
 
 def _lost_vibration(scene: Scene) -> list[tuple[Array, float]]:

@@ -18,6 +18,7 @@ from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
 from inertial.documents import CHANNELS
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
+from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
@@ -122,6 +123,8 @@ class Evidence:
             basis = basis.rounded(noise, (measured, predicted))
             if stated is not None:
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
+        if stated is not None:
+            stated = stated + _torn(Gaps.of(scene.data.missing[:, slot[1]]), noise.quantisation, basis)
         self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
             basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))
@@ -321,6 +324,17 @@ class Evidence:
 def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:
     """Whether what is left in a slot whose noise was kept is no longer what that noise was fitted to."""
     return bool(np.sum(np.abs(fit.rss[slot] - start.rss[slot]) / fit.noise[slot].power) > _MOVED)
+
+
+def _torn(gaps: Gaps, step: float, basis: Basis) -> float:
+    """Return the power of rounding errors that nothing takes back: those of the readings beside gaps.
+
+    A reading's error is taken back by the next. Before a gap that one is missing, behind it the one before, and what
+    the gap is filled with repeats some of those beside it.
+    """
+    repeats = gaps.repeats()
+    variance = float(np.sum(2.0 * ((1.0 + repeats) ** 2 + repeats**2))) * step**2 / 12.0
+    return variance / basis.n / basis.interval_s**2
 
 
 def _reach(part: Array, bounds: NDArray[np.int64]) -> int:

@@ -92,6 +92,11 @@ class Gaps:
         along = (places - first[gap] + 1) / (end - first + 1)[gap]
         return cls(places, gap, along, spans, ~missing)
 
+    def repeats(self) -> Array:
+        """Return how often the sum over each gap's filling (gaps,) counts that of the values on one side of it."""
+        begin, first, end, _ = self.spans.T
+        return np.asarray(0.5 * (end - first) / np.maximum(first - begin, 1))
+
     def fill(self, values: Array) -> Array:
         """Return values (n,) with the missing ones filled: a linear operation."""
         if not self.missing.size:

@@ -25,6 +25,7 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
+_ORDINARY, _MOSTLY = 0.9, 0.5
 FREE_SHARE = 0.5
 """Of a white noise of which a model knows the size about: so much is there at least."""
 
@@ -79,8 +80,11 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float) 
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     by_rounding = longest_by_rounding(min(fast, white_by_model) / step, same.size)
     longest = max(by_rounding, _longest_by_custom(lengths, same.size))
-    candidate = (lengths >= _SHORTEST_RUN) & (increment[first] != 0.0)  # a dead band stands at zero, and is not stuck
+    candidate = lengths >= _SHORTEST_RUN
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
+    at_zero = candidate & (increment[first] == 0.0)
+    if _is_dead_band(first[at_zero], last[at_zero], said):
+        candidate &= ~at_zero
     found = []
     for a, b in zip(first[candidate], last[candidate], strict=True):
         astray = _astray(off, int(a), int(b), step, noise)
@@ -91,6 +95,17 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float) 
         if b - a >= longest or astray > (_FAR_ASTRAY if short else _ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
+
+
+def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], said: Array) -> bool:
+    """Whether runs of zeros are where the input is small, whenever it is: a dead band, and no register that stuck."""
+    if not first.size:
+        return False
+    silent = np.zeros(said.size, dtype=np.bool_)
+    for a, b in zip(first, last, strict=True):
+        silent[a : b + 1] = True
+    as_small = np.abs(said) <= np.quantile(np.abs(said[silent]), _ORDINARY)
+    return float(np.mean(silent[as_small])) > _MOSTLY
 
 
 def _mean_run(increment: Array) -> float:
