@@ -10,12 +10,13 @@ from collections import deque
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import count
 from typing import Any
 
 QUEUE_EVENTS = 256
-KEPT_EVENTS = 2_048
+"""Events that may wait for a client, and that are kept for one that comes back."""
+MOMENTARY = frozenset({"progress", "samples"})
+"""Kinds of which the next one says all that the last one said: they are not kept."""
 HEARTBEAT_S = 10.0
 
 
@@ -26,16 +27,11 @@ def text_of(facts: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Event:
-    """One event: a number that increases, its kind and its facts."""
+    """One event: a number that increases, 0 for one that is not kept, its kind, and its facts as JSON for all."""
 
     number: int
     kind: str
-    data: dict[str, Any]
-
-    @cached_property
-    def text(self) -> str:
-        """The facts as JSON, made once for all who are told."""
-        return text_of(self.data)
+    text: str
 
 
 class _Client:
@@ -67,7 +63,7 @@ class EventHub:
     def __init__(self) -> None:
         self._numbers = count(1)
         self._era = secrets.token_hex(4)
-        self._kept: deque[Event] = deque(maxlen=KEPT_EVENTS)
+        self._kept: deque[Event] = deque(maxlen=QUEUE_EVENTS)
         self._clients: set[_Client] = set()
         self._lock = threading.Lock()
 
@@ -81,11 +77,13 @@ class EventHub:
     def publish(self, kind: str, data: dict[str, Any]) -> None:
         """Give an event to every subscriber; never waits for one."""
         of_loop: dict[asyncio.AbstractEventLoop, list[_Client]] = {}
+        text, kept = text_of(data), kind not in MOMENTARY
         with self._lock:
             for client in self._clients:
                 of_loop.setdefault(client.loop, []).append(client)
-            event = Event(next(self._numbers), kind, data)
-            self._kept.append(event)
+            event = Event(next(self._numbers) if kept else 0, kind, text)
+            if kept:
+                self._kept.append(event)
         for loop, clients in of_loop.items():  # to wake a loop is a system call, and the line's reader is who pays it
             with suppress(RuntimeError):  # it has closed
                 loop.call_soon_threadsafe(_put, clients, event)
@@ -112,7 +110,7 @@ class EventHub:
                 try:
                     await asyncio.wait_for(client.ready.wait(), heartbeat_s)
                 except TimeoutError:
-                    yield Event(0, "heartbeat", {"dropped": client.dropped})
+                    yield Event(0, "heartbeat", text_of({"dropped": client.dropped}))
                 client.ready.clear()
                 while client.waiting:
                     yield client.waiting.popleft()

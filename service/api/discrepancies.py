@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from typing import Annotated, Any
@@ -173,8 +174,8 @@ async def _progress(controller: Controller, job_id: str) -> AsyncGenerator[Messa
             if event.kind == "heartbeat":
                 yield Message("heartbeat", event.text)
                 facts = progress_of(controller.desk.jobs.job(job_id))  # one that ended before we subscribed
-            elif event.kind == "discrepancy" and event.data["id"] == job_id:
-                facts = event.data
+            elif event.kind == "discrepancy" and (told := json.loads(event.text))["id"] == job_id:
+                facts = told
                 yield Message("discrepancy", event.text)
 
 

@@ -14,7 +14,7 @@ import pytest
 from http_bench import serving, settings_for
 
 from service.controller import Controller
-from service.events import KEPT_EVENTS, QUEUE_EVENTS
+from service.events import QUEUE_EVENTS
 
 FILLING = "x" * 20_000
 
@@ -105,9 +105,26 @@ def test_a_stream_goes_on_after_the_event_that_was_seen_last(served: tuple[Contr
 
 def test_only_so_much_of_the_past_is_kept(served: tuple[Controller, httpx.Client]) -> None:
     controller, _ = served
-    for number in range(KEPT_EVENTS + 100):
+    for number in range(QUEUE_EVENTS + 100):
         controller.hub.publish("probe", {"number": number})
-    assert len(controller.hub._kept) == KEPT_EVENTS
+    assert len(controller.hub._kept) == QUEUE_EVENTS
+
+
+def test_who_comes_back_is_told_of_changes_and_not_of_moments_long_gone(
+    served: tuple[Controller, httpx.Client],
+) -> None:
+    controller, client = served
+    with client.stream("GET", "/api/v1/events") as response:
+        probes = told(response, "probe")
+        subscribed(controller, 1)
+        controller.hub.publish("probe", {"number": 0})
+        seen, _ = next(probes)
+    for number in range(1, 4 * QUEUE_EVENTS):
+        kind = "probe" if number in (1, QUEUE_EVENTS, 3 * QUEUE_EVENTS) else "progress"
+        controller.hub.publish(kind, {"number": number})
+    with client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": seen}) as response:
+        probes = told(response, "probe")
+        assert [next(probes)[1]["number"] for _ in range(3)] == [1, QUEUE_EVENTS, 3 * QUEUE_EVENTS]
 
 
 def test_the_schemas_are_json_schemas_and_the_documents_keep_to_them(served: tuple[Controller, httpx.Client]) -> None:
