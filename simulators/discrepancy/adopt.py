@@ -164,7 +164,7 @@ class Searcher:
         names = {h.name for h in taken}
         pool = [h for h in self.library.hypotheses if max(h.columns) < self.evidence.base]
         pool = [h for h in (*pool, *self._late(fit, quiet)) if h.kind is Kind.NAMED and h.name not in names]
-        pool = [h for h in pool if self.evidence.touched(h.columns) & slots]
+        pool = [h for h in pool if self.evidence.touched(h.columns) & slots and h.effect != "sinusoid"]
         scores = [bayes_factor(look.gain(h), len(h.columns), self._places(h)) for h in pool]
         if not scores or max(scores) < MARGIN:
             return None

@@ -103,10 +103,21 @@ def best_line(score: Array, power: Array, basis: Basis) -> tuple[float, float]:
     gain = spectrum * power[np.searchsorted(basis.bounds[1:-1], place, "right")] / n
     gain[frequency < _FEWEST_CYCLES / (0.5 * n * interval_s)] = 0.0
     best = int(np.argmax(gain))
-    time_s = (np.arange(n) + 0.5) * interval_s
     centre, step = float(frequency[best]), 0.25 / (n * interval_s)
     for _ in range(5):
         trials = [centre - step, centre, centre + step]
-        centre = trials[int(np.argmax([abs(np.exp(-2j * math.pi * f * time_s) @ score) for f in trials]))]
+        centre = trials[int(np.argmax([_size_at(score, 2.0 * math.pi * f * interval_s) for f in trials]))]
         step *= 0.5
     return centre, float(gain[best])
+
+
+@compiled
+def _size_at(score: Array, omega: float) -> float:
+    """Return the size of the Fourier transform at one angular frequency [rad per sample], the phase turned on."""
+    turn_re, turn_im = math.cos(omega), math.sin(omega)
+    re, im, total_re, total_im = 1.0, 0.0, 0.0, 0.0
+    for value in score:
+        total_re += value * re
+        total_im += value * im
+        re, im = re * turn_re - im * turn_im, re * turn_im + im * turn_re
+    return math.hypot(total_re, total_im)

@@ -19,6 +19,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.repair import Gaps
+from simulators.discrepancy.standing import FREE_SHARE
 from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
@@ -116,7 +117,9 @@ class Evidence:
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = (DV_LSB_MPS if slot[1] < 3 else DTHETA_LSB_RAD) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
-        self.floor[slot] = basis.stated(noise.__class__(), lsb)
+        slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
+        share = FREE_SHARE**2 if scene.model.noise.free else 1.0
+        self.floor[slot] = basis.stated(noise.__class__(), lsb) + share * basis.stated(slow, 0.0)
         measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
         stated = basis.stated(noise, lsb, (measured, predicted)) if declared else None
         if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):

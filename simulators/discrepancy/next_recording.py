@@ -21,6 +21,7 @@ from inertial.documents import CHANNELS, BlockModel, ChannelNoise, Noise
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.whitening import STATED
 from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Stage
 from simulators.effects.size_effect import SizeEffect
@@ -29,6 +30,8 @@ from simulators.effects.thermal_lag import ThermalLag
 Array = NDArray[np.float64]
 
 RATE_HZ = 5.0
+MOST_IMAGINED = 6_000
+"""Samples of an imagined recording; a longer one is imagined at a lower rate."""
 REST_S = 1200.0
 MOVED_S = 300.0
 HIDDEN_NATS = 12.0
@@ -99,6 +102,15 @@ PLANS = (
 )
 
 
+def _plans(evidence: Evidence) -> tuple[_Plan, ...]:
+    """Return the plans; the rest is to be longer than what there is."""
+    span_s = max(float(scene.data.edges_s[-1] - scene.data.edges_s[0]) for scene in evidence.library.scenes)
+    if 2.0 * span_s <= REST_S:
+        return PLANS
+    rest = replace(PLANS[0], text="a rest twice as long as this recording", duration_s=2.0 * span_s)
+    return (rest, *PLANS[1:])
+
+
 Question = tuple[Hypothesis, Sequence[Hypothesis]]
 """A leader and its nearest rivals."""
 
@@ -109,7 +121,7 @@ def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
     names = {h.name for leader, rivals in questions for h in (leader, *rivals)}
     answers: list[list[Proposal]] = [[] for _ in questions]
-    for plan in PLANS if questions else ():
+    for plan in _plans(evidence) if questions else ():
         imagined = Evidence(Library([_imagined(scene, model, plan)], only=names))
         for answer, (leader, rivals) in zip(answers, questions, strict=True):
             amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
@@ -121,8 +133,8 @@ def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list
 def propose_longer(evidence: Evidence, term: str, channel: str, nats: float) -> Proposal:
     """Return the recording for noise or lines without a name: evidence on them grows with the time at rest."""
     scene = evidence.library.scenes[0]
-    longer = REST_S / float(scene.data.edges_s[-1] - scene.data.edges_s[0])
-    rest = PLANS[0]
+    rest = _plans(evidence)[0]
+    longer = rest.duration_s / float(scene.data.edges_s[-1] - scene.data.edges_s[0])
     return Proposal(rest.name, rest.text, f"{term} on {channel}", nats * longer)
 
 
@@ -135,7 +147,7 @@ def propose_unseen(evidence: Evidence, fit: Fit) -> list[Proposal]:
     hidden = {name for name in wanted if seen.get(name, 0.0) < HIDDEN_NATS}
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
     proposals: list[tuple[float, Proposal]] = []
-    for plan in PLANS:
+    for plan in _plans(evidence):
         imagined = Evidence(Library([_imagined(scene, model, plan)], only=hidden, plain=True))
         shown = _visible(imagined, {slot: imagined.power(slot) for slot in imagined.slots})
         if not shown:
@@ -174,9 +186,12 @@ def _least(effect: Effect, channel: str) -> float | None:
 
 
 def _noise(evidence: Evidence, fit: Fit) -> Noise:
-    """Return white noise of the density found in the middle of each channel's band."""
+    """Return each channel's noise: as stated where it is, else white of the density found in the middle of the band."""
     found = {}
     for c, name in enumerate(CHANNELS):
+        if evidence.stated[0, c] is not None and fit.noise[0, c].level == STATED:
+            found[name] = getattr(evidence.library.scenes[0].model.noise, name)
+            continue
         power = fit.noise[0, c].power
         density = float(np.exp(np.mean(np.log(power[len(power) // 4 : len(power) // 2]))))
         found[name] = ChannelNoise(white=float(np.sqrt(density * evidence.basis[0, c].interval_s)))
@@ -184,15 +199,16 @@ def _noise(evidence: Evidence, fit: Fit) -> Noise:
 
 
 def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
-    count = round(plan.duration_s * RATE_HZ)
+    rate_hz = min(RATE_HZ, MOST_IMAGINED / plan.duration_s)
+    count = round(plan.duration_s * rate_hz)
     samples = empty_samples(count)
     samples["sequence"] = np.arange(count)
-    samples["time"] = np.arange(1, count + 1) / RATE_HZ
+    samples["time"] = np.arange(1, count + 1) / rate_hz
     phase = np.clip(samples["time"] / plan.duration_s, 0.0, 1.0)
     samples["temperature"][:, 0] = 20.0 + plan.rise_c * np.sin(np.pi * phase) ** 2
     samples["supply"] = 28.0
     meta = scene.recording.meta
-    block = meta.block.model_copy(update={"sample_rate_hz": RATE_HZ, "model": None, "calibration": None})
+    block = meta.block.model_copy(update={"sample_rate_hz": rate_hz, "model": None, "calibration": None})
     meta = meta.model_copy(update={"motion": list(plan.motion), "window": [], "block": block, "columns": {}})
     imagined = compare(Recording(samples, meta, Path(plan.name), Path(plan.name)), model)
     # Nothing was measured: what the comparison took for the vibration's course is set to nothing.

@@ -23,7 +23,7 @@ TERMS = {
     "quantisation": ("step", ChannelNoise(quantisation=1.0)),
 }
 """Effect, its parameter, and unit noise of its kind."""
-MARGIN = 5.0
+MARGIN = 7.0
 OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
 _PLACES = 24.0

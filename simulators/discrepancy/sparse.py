@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 MARGIN = 9.0
 """By how much [nats] the simpler description must be the better one."""
 _MOST = 60
+_PATIENCE = 12  # steps and lines that have brought nothing
 _ROUNDS = 3  # of levels and the noise about them
 _STEP_COST, _LINE_COST = 2.0, 4.0  # of amplitudes, beyond ln of the number of places
 
@@ -100,7 +101,7 @@ def _one_by_one(trial: _Trial) -> Sparse:
     steps: list[int] = []
     lines: list[float] = []
     best = trial.found(left, quiet, steps, [], lines)
-    while columns.shape[1] < _MOST:
+    while columns.shape[1] < _MOST and len(steps) + len(lines) - len(best.steps) - len(best.lines_hz) < _PATIENCE:
         score = score_of(left, quiet.power, trial.basis, trial.spread)
         first, step_gain = places.best(score, quiet.power)
         hertz, line_gain = best_line(score, quiet.power, trial.basis)

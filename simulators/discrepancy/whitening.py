@@ -207,7 +207,7 @@ def fit_noise(
     best: NoiseFit | None = None
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
-    start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor.max()) + 1e-300)
+    start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor[high].max()) + 1e-300)
     levels = [(WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start))]
     if shape is not None:
         levels.insert(0, (STATED, basis.fast))
