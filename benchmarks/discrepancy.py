@@ -17,6 +17,7 @@ import tempfile
 import time
 import traceback
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,9 @@ def run(seed: int, cases: int, peers: bool, workers: int, work: Path) -> list[tu
     """Return (truth, outcome) of all cases in order; those that ``work`` already holds are not run again."""
     chunks = [list(range(first, min(first + CHUNK, cases))) for first in range(0, cases, CHUNK)]
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ[name] = "1"  # both cores are busy with a case each
+        os.environ[name] = "1"  # both cores are busy with a case each; read when a worker, begun anew, imports numpy
     _outcome(work, 0).parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         missing = [chunk for chunk in chunks if not all(_outcome(work, number).exists() for number in chunk)]
         jobs = [pool.submit(run_chunk, seed, chunk, str(work), peers) for chunk in missing]
         for job in as_completed(jobs):

@@ -33,9 +33,12 @@ from drivers.recording_meta import (
     temperature_index,
 )
 from drivers.samples import SampleArray, empty_samples, intervals_s
+from drivers.summing import summed
 
 __all__ = ["Recording", "RecordingError", "RecordingMeta", "read_recording", "write_recording"]
 
+PIECE = 1 << 17
+"""Rows that are read at once of a recording that is too long to be kept whole."""
 RATE_TOLERANCE = 0.1
 """Share by which the measured rate may differ from ``sample_rate_hz``: clocks miss by 4 %, wrong units by more."""
 
@@ -99,8 +102,11 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(path: Path | str, most_samples: int | None = None) -> Recording:
     """Read a recording, given as NAME, NAME.parquet, NAME.csv or NAME.toml.
+
+    Of one with more than ``most_samples`` rows neighbours are summed to one sample as they are read
+    (:mod:`drivers.summing`), so that memory does not grow with its length; a CSV alone is read whole first.
 
     Raises
     ------
@@ -113,7 +119,14 @@ def read_recording(path: Path | str) -> Recording:
         if name is not None and not (meta_path.parent / name).is_file():
             reason = f"there is no file {name} beside the TOML"
             raise RecordingError(meta_path, f"[block] {key}", reason, "Put it there, correct the path or drop the key")
-    samples = _Table(data_path, _read_columns(data_path), meta, meta_path).samples()
+    if most_samples is None or (rows := _count_rows(data_path)) <= most_samples:
+        samples = _Table(data_path, _read_columns(data_path), meta, meta_path).samples()
+    else:
+        together = -(-rows // most_samples)
+        samples = summed(_pieces(data_path, meta, meta_path), together)
+        block = meta.block.model_copy(update={"sample_rate_hz": meta.block.sample_rate_hz / together})
+        meta = meta.model_copy(update={"block": block})
+    _check_windows(samples["time"], meta, meta_path)
     return Recording(samples, meta, data_path, meta_path)
 
 
@@ -139,16 +152,12 @@ def _find_pair(path: Path) -> tuple[Path, Path]:
 
 def _read_columns(path: Path) -> pa.Table:
     """Read the data file whole."""
-    try:
+    with _readable(path):
         if path.suffix == ".csv":
             table = pa.csv.read_csv(path)
         else:
             with pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
                 table = file.read()
-    except (pa.ArrowException, OSError) as error:
-        kind = "CSV with one header line" if path.suffix == ".csv" else "whole Parquet file"
-        reason = f"is not a {kind}: {str(error).splitlines()[0].rstrip('.')}"
-        raise RecordingError(path, "", reason, "It may be cut or damaged: copy or convert it again") from None
     if table.num_rows < 2:
         reason = f"holds {table.num_rows} sample{'s' * (table.num_rows != 1)}"
         raise RecordingError(path, "", reason, "Give at least two: an interval needs both its ends")
@@ -158,11 +167,58 @@ def _read_columns(path: Path) -> pa.Table:
     return table
 
 
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Refuse a data file that Arrow cannot read."""
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        kind = "CSV with one header line" if path.suffix == ".csv" else "whole Parquet file"
+        reason = f"is not a {kind}: {str(error).splitlines()[0].rstrip('.')}"
+        raise RecordingError(path, "", reason, "It may be cut or damaged: copy or convert it again") from None
+
+
+def _count_rows(path: Path) -> int:
+    """Return how many samples a data file holds, at most: the blank lines of a CSV are counted."""
+    with _readable(path):
+        if path.suffix != ".csv":
+            return int(pa.parquet.read_metadata(path).num_rows)
+        with path.open("rb") as file:
+            return sum(piece.count(b"\n") for piece in iter(lambda: file.read(1 << 20), b""))
+
+
+def _tables(path: Path) -> Iterator[pa.Table]:
+    """Yield a data file in pieces of some ``PIECE`` rows."""
+    if path.suffix == ".csv":
+        whole = _read_columns(path)
+        for first in range(0, whole.num_rows, PIECE):
+            yield whole.slice(first, PIECE)
+        return
+    with _readable(path), pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        for batch in file.iter_batches(PIECE):
+            yield pa.Table.from_batches([batch])
+
+
+def _pieces(path: Path, meta: RecordingMeta, meta_path: Path) -> Iterator[SampleArray]:
+    """Yield the samples piece by piece, every value checked, their numbers running through."""
+    row, last, number = 0, None, 0
+    for piece in _tables(path):
+        # With the row before it, a piece is checked as it would be within the whole.
+        table = piece if last is None else pa.concat_tables([last, piece])
+        if table.num_rows >= 2:
+            samples = _Table(path, table, meta, meta_path, row - (last is not None)).samples()
+            if "sequence" not in table.column_names:
+                samples["sequence"] += np.uint32(number)
+            number = int(samples["sequence"][-1])
+            yield samples[0 if last is None else 1 :]
+        row, last = row + piece.num_rows, table.slice(table.num_rows - 1)
+
+
 class _Table:
     """Columns of a data file on their way to samples, with the names of places for errors."""
 
-    def __init__(self, path: Path, table: pa.Table, meta: RecordingMeta, meta_path: Path) -> None:
-        self.path, self.table, self.meta, self.meta_path = path, table, meta, meta_path
+    def __init__(self, path: Path, table: pa.Table, meta: RecordingMeta, meta_path: Path, first_row: int = 0) -> None:
+        self.path, self.table, self.meta, self.meta_path, self.first_row = path, table, meta, meta_path, first_row
         self.mapping = {column.to: (name, column) for name, column in meta.columns.items()}
         self._check_names()
 
@@ -186,7 +242,6 @@ class _Table:
             samples["supply"] = self._finite_or_unknown("supply_v")
         if "status" in self._names():
             samples["status"] = self._whole("status")
-        self._check_windows(samples["time"])
         return samples
 
     def _names(self) -> list[str]:
@@ -299,26 +354,28 @@ class _Table:
             self._refuse(row, "sequence", reason, "Frame numbers increase; drop the column if the log has none")
         return sequence
 
-    def _check_windows(self, time_s: NDArray[np.float64]) -> None:
-        """Refuse windows that the data do not cover."""
-        margin = 1.5 * float(np.median(np.diff(time_s)))
-        for number, window in enumerate(self.meta.window, start=1):
-            if window.start_s < time_s[0] - margin or window.end_s > time_s[-1] + margin:
-                reason = f"{window.start_s:g} to {window.end_s:g} s is not within the data"
-                span = f"{time_s[0]:g} to {time_s[-1]:g} s"
-                remedy = f"These run from {span}: correct the window, or restore the data if they were cut"
-                raise RecordingError(self.meta_path, f"[[window]] no. {number}", reason, remedy)
-
     def _refuse(self, row: int, column: str, reason: str, remedy: str) -> None:
         raise RecordingError(self.path, f"{self._row_name(row)}, column {column}", reason, remedy)
 
     def _row_name(self, row: int) -> str:
         """Return where a row stands: the line of a CSV, the row of a Parquet file counted from 1."""
+        row += self.first_row
         if self.path.suffix != ".csv":
             return f"row {row + 1}"
         with self.path.open("rb") as file:  # blank lines count as lines and hold no row
             lines = (number for number, line in enumerate(file, start=1) if line.strip())
             return f"line {next(number for place, number in enumerate(lines) if place == row + 1)}"
+
+
+def _check_windows(time_s: NDArray[np.float64], meta: RecordingMeta, meta_path: Path) -> None:
+    """Refuse windows that the data do not cover."""
+    margin = 1.5 * float(np.median(np.diff(time_s)))
+    for number, window in enumerate(meta.window, start=1):
+        if window.start_s < time_s[0] - margin or window.end_s > time_s[-1] + margin:
+            reason = f"{window.start_s:g} to {window.end_s:g} s is not within the data"
+            span = f"{time_s[0]:g} to {time_s[-1]:g} s"
+            remedy = f"These run from {span}: correct the window, or restore the data if they were cut"
+            raise RecordingError(meta_path, f"[[window]] no. {number}", reason, remedy)
 
 
 def _sentence(text: str) -> str:

@@ -19,8 +19,9 @@ NICENESS = 10
 def main(model: str, out: str, *recordings: str) -> int:
     """Run the workflow; return 0, or 2 where a recording or the model was refused."""
     subordinate(NICENESS)
-    from drivers.recording import RecordingError, read_recording
+    from drivers.recording import RecordingError
     from inertial.documents import DocumentError
+    from simulators.discrepancy.compare import read_to_compare
     from simulators.discrepancy.report import discrepancy
     from simulators.effects.base import EffectError
     from simulators.errors import ScenarioError
@@ -28,7 +29,7 @@ def main(model: str, out: str, *recordings: str) -> int:
 
     try:
         believed = load_model(Path(model))
-        read = [read_recording(Path(path)) for path in recordings]
+        read = [read_to_compare(path) for path in recordings]
         report = discrepancy(read, believed, Path(out), lambda share, text: _tell(share=share, text=text))
     except (RecordingError, ScenarioError, EffectError, DocumentError, OSError) as error:
         _tell(error=str(error))

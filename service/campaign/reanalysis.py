@@ -8,9 +8,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from drivers.recording import read_recording
 from drivers.recording_meta import RecordingError
 from service.campaign.spec import Campaign
+from simulators.discrepancy.compare import read_to_compare
 from simulators.discrepancy.report import discrepancy
 from simulators.errors import ScenarioError
 from simulators.model_store import load_model
@@ -45,7 +45,7 @@ def run_reanalysis(spec: Campaign, trial: int) -> dict[str, Any]:
     }
     began, cpu_s = time.perf_counter(), time.process_time()
     try:
-        report = discrepancy([read_recording(path) for path in subject.recordings], load_model(subject.model))
+        report = discrepancy([read_to_compare(path) for path in subject.recordings], load_model(subject.model))
     except (RecordingError, ScenarioError) as error:
         row |= {"verdict": "refused", "reason": str(error)}
     else:

@@ -37,12 +37,12 @@ def discrepancy(
         raise RefusedInput(
             str(out), "is not a folder.", "Name a folder for the report; it is made where it is missing."
         )
-    from drivers.recording import read_recording
+    from simulators.discrepancy.compare import read_to_compare
     from simulators.discrepancy.report import discrepancy as run
     from simulators.model_store import load_model
 
     believed = load_model(model)
-    read = [read_recording(path) for path in recordings]
+    read = [read_to_compare(path) for path in recordings]
     with _Bar() as tell:
         report = run(read, believed, out, tell)
     write_json(json, report.document)

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
-from drivers.recording import Recording, RecordingError
+from drivers.recording import Recording, RecordingError, read_recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.discrepancy.repair import Gaps, Repaired, repair
@@ -27,6 +28,8 @@ from simulators.scenarios import Scenario, ScenarioMeta, believed_setup
 
 Array = NDArray[np.float64]
 
+MOST_READ = 1_000_000
+"""Samples of a recording that are kept at all; of a longer one neighbours are summed as they are read."""
 MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
 MEDIAN_OF_SQUARES = 0.4549
@@ -143,6 +146,11 @@ class Scene:
         accel, gyro = true_rates(setup, edges_s, np.diff(self.data.edges_s) if device_s is None else device_s)
         accel += self.shaken
         return replace(self.seen, accel_mps2=accel, gyro_radps=gyro)
+
+
+def read_to_compare(path: Path | str) -> Recording:
+    """Read a recording in memory that does not grow with its length."""
+    return read_recording(path, MOST_READ)
 
 
 def true_rates(setup: Setup, edges_s: Array, interval_s: Array) -> tuple[Array, Array]:
