@@ -35,7 +35,7 @@ MOST_FINDINGS = 8
 _LEADERS = 9
 _REFINED = 7
 _SHARPENED = 3
-_TOGETHER = 3  # names tried at once
+_PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
@@ -139,36 +139,52 @@ class Searcher:
         return best if best is not None and best.score > MARGIN else None
 
     def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit] | None:
-        """Return names that only together explain what a wide noise model takes for noise, and the fit with them.
+        """Return two names that only together explain what a wide noise model takes for noise, and the fit with them.
 
         Each alone leaves so much that the noise stays wide, in which it has gained next to nothing.
         """
-        wide = {slot for slot in self.evidence.slots if current.noise[slot].level != STATED}
-        chosen: list[Hypothesis] = []
-        fit = current
-        while wide and len(chosen) < _TOGETHER:
-            best = self._best_in_quiet(wide, fit, [*adopted, *chosen])
-            if best is None:
-                return None
-            chosen.append(best)
-            fit = self._fit_of([*adopted, *chosen], current)
-            count, places = sum(len(h.columns) for h in chosen), math.prod(self._places(h) for h in chosen)
-            if bayes_factor(fit.value - current.value, count, places) > MARGIN:
-                return chosen, fit
-        return None
+        quiet = self.quiet(current)
+        look = Look(self.evidence, current, quiet)
+        best: tuple[float, list[Hypothesis], Fit] | None = None
+        for slot in (s for s in self.evidence.slots if current.noise[s].level != STATED):
+            for pair in self._pairs_in_quiet(slot, look, {h.name for h in adopted}):
+                pair = [self._timed(h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
+                fit = self._fit_of([*adopted, *pair], current)
+                both, fit = self._polish([*adopted, *pair], fit)
+                pair = both[len(adopted) :]
+                count, places = sum(len(h.columns) for h in pair), math.prod(self._places(h) for h in pair)
+                score = bayes_factor(fit.value - current.value, count, places)
+                if score > max(MARGIN, best[0] if best else 0.0):
+                    best = score, pair, fit
+        return None if best is None else best[1:]
 
-    def _best_in_quiet(self, slots: set[Slot], fit: Fit, taken: Sequence[Hypothesis]) -> Hypothesis | None:
-        """Return the name that explains most in some slots if nothing slow is random there."""
-        quiet = self.quiet(fit)
-        look = Look(self.evidence, fit, quiet)
-        names = {h.name for h in taken}
-        pool = [h for h in self.library.hypotheses if max(h.columns) < self.evidence.base]
-        pool = [h for h in (*pool, *self._late(fit, quiet)) if h.kind is Kind.NAMED and h.name not in names]
-        pool = [h for h in pool if self.evidence.touched(h.columns) & slots and h.effect != "sinusoid"]
-        scores = [bayes_factor(look.gain(h), len(h.columns), self._places(h)) for h in pool]
-        if not scores or max(scores) < MARGIN:
-            return None
-        return self._refine(pool[int(np.argmax(scores))], fit, look)
+    def _timed(self, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
+        """Return a step at its best time beside others in quiet noise; any other name as it is."""
+        if one.effect != "bias_step":
+            return one
+        fit = self._fit_of(others, current)
+        power, basis = self.evidence.quiet(slot, fit.rss[slot]).power, self.evidence.basis[slot]
+        left = self.library.left(slot, fit.ids, fit.amplitude)
+        first, _ = self.evidence.steps(slot).best(score_of(left, power, basis, self.library.spread[slot]), power)
+        return self.step_trial(slot, first) or one
+
+    def _pairs_in_quiet(self, slot: Slot, look: Look, taken: set[tuple[str, str]]) -> list[list[Hypothesis]]:
+        """Return the pairs of names of one channel that explain most if nothing slow is random there."""
+        pool = [h for h in self.library.hypotheses if h.kind is Kind.NAMED and h.name not in taken]
+        pool = [h for h in pool if len(h.columns) == 1 and h.columns[0] < self.evidence.base and not h.unit_amplitude]
+        pool = [h for h in pool if self.evidence.touched(h.columns) == {slot}]
+        gains = look.pairs([h.columns[0] for h in pool])
+        places = np.log([self._places(h) for h in pool])
+        scores = np.triu(gains - np.log(np.maximum(gains, 1.0)) - 1.0 - places[:, None] - places, 1)
+        found: dict[tuple[tuple[str, str], ...], list[Hypothesis]] = {}
+        for place in np.argsort(-scores, axis=None)[:_PAIRS_LOOKED_AT]:
+            i, j = divmod(int(place), len(pool))
+            names = (pool[i].name, pool[j].name)
+            if scores[i, j] > MARGIN and names[0] != names[1] and names not in found:
+                found[names] = [pool[i], pool[j]]
+            if len(found) == _PAIRS:
+                break
+        return list(found.values())
 
     def _swallowed(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
         """Return what a wide noise model has swallowed, a name or a step, a line or two, and the fit with it.

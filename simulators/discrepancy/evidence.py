@@ -28,6 +28,7 @@ _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-11
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _MANY = 64
+_APART = 1e-3  # squared sine between two columns that are tried together
 _NOTHING = 1e-7  # share of a column's power
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
@@ -399,6 +400,22 @@ class Look:
         seen = values > 1e-7
         along = (vectors.T @ (left / size))[seen]
         return 0.5 * float(np.sum(along**2 / values[seen]))
+
+    def pairs(self, ids: Sequence[int]) -> Array:
+        """Return by how much each two of m of the library's first columns raise the log-likelihood (m, m)."""
+        if not ids:
+            return np.zeros((0, 0))
+        own, score, cross = self._products(ids)
+        left = score - cross @ self._amplitude
+        inside = own - cross @ self._inverse @ cross.T
+        size = np.sqrt(np.maximum(np.diag(inside), 1e-300))
+        seen = np.diag(inside) > 1e-7 * np.diag(own)
+        along = np.where(seen, left / size, 0.0)
+        alike = inside / np.outer(size, size)
+        apart = 1.0 - alike**2
+        both = along[:, None] ** 2 + along**2 - 2.0 * alike * np.outer(along, along)
+        told = (apart > _APART) & np.outer(seen, seen)
+        return np.asarray(np.where(told, 0.5 * both / np.maximum(apart, _APART), 0.0))
 
     def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
         k = len(ids)

@@ -144,3 +144,14 @@ def test_what_depends_on_the_attitude_is_no_noise_of_turns() -> None:
     )
     spread = level_spread(compare(replace(noisy, samples=samples), model()), 5)[1]
     assert 2.5 < spread.max() < 4.0  # √10
+
+
+def test_two_names_that_only_together_leave_quiet_noise_are_found() -> None:
+    """A drift and a step back, of one gyro: with either alone what is left looks like slow noise."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 4] += 0.95 * GYRO_SIGMA * (true["t"] / 120.0 - (true["t"] > 120.0))
+
+    report = discrepancy([recording(change, 57, moving=False)], model())
+    names = {(name["effect"], name["channel"]) for one in report.findings for name in (one, *one["alternatives"])}
+    assert {("bias_step", "gyro_y"), ("drift", "gyro_y")} <= names, report.document["text"]
