@@ -78,13 +78,14 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float) 
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
-    by_rounding = longest_by_rounding(min(fast, white_by_model) / step, same.size)
-    longest = max(by_rounding, _longest_by_custom(lengths, same.size))
+    by_custom = _longest_by_custom(lengths, same.size)
+    longest = max(longest_by_rounding(min(fast, white_by_model) / step, same.size), by_custom)
     candidate = lengths >= _SHORTEST_RUN
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     at_zero = candidate & (increment[first] == 0.0)
     if _is_dead_band(first[at_zero], last[at_zero], said):
         candidate &= ~at_zero
+    candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
     found = []
     for a, b in zip(first[candidate], last[candidate], strict=True):
         astray = _astray(off, int(a), int(b), step, noise)

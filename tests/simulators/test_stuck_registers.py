@@ -33,6 +33,19 @@ def test_repeats_by_rounding_are_no_stuck_register(mean_steps: float) -> None:
         assert find_stuck(compare(case, model()))[1] == []
 
 
+def test_zeros_of_a_small_input_that_comes_and_goes_are_no_stuck_register() -> None:
+    """A vehicle that people lean on: a coarse readout is at zero for a second now and then, as often before."""
+    for seed in range(5):
+        case = recording(None, 60 + seed, moving=False)
+        samples, rng = case.samples, np.random.default_rng(seed)
+        lean = np.full(len(samples), 0.4)
+        for first in range(150, 4600, 350):
+            lean[first : first + rng.integers(20, 36)] = 0.0
+        total = np.rint(np.cumsum(lean + 0.3 * rng.standard_normal(len(samples))))
+        samples["dv"][:, 0] = np.diff(total, prepend=0.0) * STEP_MPS
+        assert find_stuck(compare(case, model()))[1] == []
+
+
 @pytest.mark.parametrize("mean_steps", [7.0, 7.4, 0.38])
 def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float) -> None:
     case = coarse(recording(None, 9, moving=False), mean_steps=mean_steps)
