@@ -45,8 +45,10 @@ TURNED_S = 30.0
 """Simulated seconds after which a block that was turned must not be called fit."""
 RECOVERY_S = 5_400.0
 """Simulated seconds from a fault to READY after which the service counts as stuck: settling, holding and a run."""
-SPAN_S, FIRST_S = 300.0, 3_600.0
-"""Memory is averaged over such spans [simulated s]; the first hour of a process fills caches and does not count."""
+ENDING = 0.5
+"""Share of the time in which the service's process is ended as well; what follows is one long life."""
+SPAN_S, FIRST_S = 300.0, 4 * 3_600.0
+"""Memory is averaged over such spans [simulated s]; the first hours of a process fill caches and do not count."""
 
 
 @dataclass
@@ -136,6 +138,8 @@ class Soak:
             return False
         self._seen_real_s, self._answered = time.monotonic(), True
         self._status = status
+        if plant.full and status["run_id"] is not None:
+            self.unwritable.add(status["run_id"])
         self._note(status, pid)
         return True
 
@@ -247,8 +251,6 @@ class Soak:
             run_id = answer.json()["run_id"]
             self.records.begun(run_id)
             self.records.accepted("start", run_id)
-            if self._trouble is not None and any(name == "disk_full" for name in self._trouble.faults):
-                self.unwritable.add(run_id)
 
     def _command(self, command: str, run_id: str) -> None:
         self._read_run(run_id)
@@ -276,6 +278,8 @@ class Soak:
         if now_s < self._next_fault_s:
             return
         wanted = [fault for fault in self.possible if status["link"] == "STREAMING" or not fault.needs_line]
+        if now_s > ENDING * self.end_s:
+            wanted = [fault for fault in wanted if not fault.ends]
         tried = [name for trouble in self.troubles for name in trouble.faults]
         fewest = min(tried.count(fault.name) for fault in wanted)
         first = self.random.choice([fault for fault in wanted if tried.count(fault.name) <= fewest + 1])
@@ -286,8 +290,6 @@ class Soak:
         self._trouble = Trouble([fault.name for fault in chosen], now_s, status["state"], status["run_id"])
         self.troubles.append(self._trouble)
         for fault in chosen:
-            if fault.name == "disk_full" and status["run_id"] is not None:
-                self.unwritable.add(status["run_id"])
             self._later += [(now_s + after_s, fault, undo) for after_s, undo in fault.begin(self.plant, self.random)]
 
     def _undo(self) -> None:

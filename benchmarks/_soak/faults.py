@@ -26,6 +26,8 @@ class Fault:
     begin: Callable[[Plant, Random], list[Undo]]
     possible: Callable[[Plant], bool] = lambda _: True
     needs_line: bool = False
+    ends: bool = False
+    """Whether the service's process ends by it."""
     """Whether the block must be streaming for it to happen, and to be undone."""
 
 
@@ -145,9 +147,9 @@ FAULTS = (
     Fault("nudge", "the block is turned by 0.01° to 2° and later back", _move(0.01, 2.0), needs_line=True),
     Fault("turn", "the block is turned by 10° to 60° and later back", _move(10.0, 60.0), needs_line=True),
     Fault("heat", "the block warms or cools by 2.5 to 8 °C", _heat, needs_line=True),
-    Fault("kill", "SIGKILL of the service; started again 1 to 60 s later", _kill),
-    Fault("terminate", "SIGTERM of the service; started again 1 to 60 s later", _terminate),
-    Fault("blackout", "SIGKILL of the service and loss of the block at once", _everything),
+    Fault("kill", "SIGKILL of the service; started again 1 to 60 s later", _kill, ends=True),
+    Fault("terminate", "SIGTERM of the service; started again 1 to 60 s later", _terminate, ends=True),
+    Fault("blackout", "SIGKILL of the service and loss of the block at once", _everything, ends=True),
     Fault("frozen_host", "the service's process gets no time for 0.2 to 3 real s", _freeze),
     Fault("disk_full", "the disk takes nothing for 60 to 600 s", _disk, lambda plant: plant.own_disk),
     Fault(

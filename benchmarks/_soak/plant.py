@@ -48,7 +48,7 @@ class Plant:
         self._log = (folder / "service.log").open("ab")
         self._simulator: subprocess.Popen[bytes] | None = None
         self._service: subprocess.Popen[bytes] | None = None
-        self.displaced = False
+        self.displaced = self.full = False
         self.bad_ends: list[int] = []
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{self.port}/api/v1", timeout=20.0)
 
@@ -160,7 +160,7 @@ class Plant:
 
     def fill_disk(self, full: bool) -> None:
         """Leave the service's disk no room, or give it back."""
-        ballast = self.disk / "ballast"
+        ballast, self.full = self.disk / "ballast", full
         if not full:
             ballast.unlink(missing_ok=True)
             return
