@@ -37,7 +37,7 @@ from drivers.summing import summed
 
 __all__ = ["Recording", "RecordingError", "RecordingMeta", "read_recording", "write_recording"]
 
-PIECE = 1 << 17
+PIECE = 1 << 15
 """Rows that are read at once of a recording that is too long to be kept whole."""
 RATE_TOLERANCE = 0.1
 """Share by which the measured rate may differ from ``sample_rate_hz``: clocks miss by 4 %, wrong units by more."""
@@ -194,7 +194,9 @@ def _tables(path: Path) -> Iterator[pa.Table]:
         for first in range(0, whole.num_rows, PIECE):
             yield whole.slice(first, PIECE)
         return
-    with _readable(path), pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
+    # Row groups as they come, not all of one at once.
+    slowly = {"pre_buffer": False, "buffer_size": 1 << 20}
+    with _readable(path), pa.parquet.ParquetFile(path, page_checksum_verification=True, **slowly) as file:
         for batch in file.iter_batches(PIECE):
             yield pa.Table.from_batches([batch])
 
