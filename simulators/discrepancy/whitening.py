@@ -100,9 +100,9 @@ class Basis:
         """
         columns = self.power[:, self.fast - len(ROUNDED_AT) : self.fast]
         columns = columns * noise.quantisation**2 / (12.0 * self.interval_s**2)
-        others = stated - columns[:, ROUNDED_AT.index(1.0)]
+        others = np.maximum(stated - columns[:, ROUNDED_AT.index(1.0)], 0.0)
         weights = np.full(len(ROUNDED_AT), 1.0 / len(ROUNDED_AT))
-        for _ in range(_WEIGHED):
+        for _ in range(_WEIGHED if rss.any() else 0):
             power = others + columns @ weights
             weights *= (columns.T @ (rss / power**2)) / (columns.T @ (self.counts / power))
             weights /= weights.sum()

@@ -164,3 +164,13 @@ def test_frames_lost_from_a_coarse_readout_leave_no_larger_noise() -> None:
         report = discrepancy([replace(case, samples=samples[kept])], BlockModel(noise=Noise(**channels)))
         names |= {one["effect"] for one in report.findings}
     assert names == {"lost_samples"}
+
+
+@pytest.mark.parametrize("white", [0.0, 1e-7, 1e-6])
+def test_rounding_of_a_channel_that_says_nothing_is_as_stated(white: float) -> None:
+    """A residual of zeros, and noise of none, leave every power a number."""
+    noise, steady = ChannelNoise(white=white, quantisation=5e-7), np.full(4096, 4e-5)
+    basis = cosine_basis(4096, INTERVAL_S).rounded(noise, (steady, steady))
+    stated = basis.stated(noise, 1e-12, (steady, steady))
+    for rss in (np.zeros_like(stated), stated * basis.counts):
+        assert np.all(np.isfinite(basis.likeliest(stated, noise, rss)))
