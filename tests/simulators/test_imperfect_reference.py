@@ -46,7 +46,7 @@ def test_a_turn_that_begins_in_the_next_sample_is_late_and_no_step_of_a_bias(tmp
 
 def test_a_level_that_is_far_off_is_one_error_and_no_second_for_its_square(tmp_path: Path) -> None:
     recording, model = turned(tmp_path, 0.0)
-    reference = {**recording.meta.reference.model_dump(exclude_none=True)}
+    reference = recording.meta.reference.model_dump(exclude_none=True)
     reference |= {"pitch_deg": reference.get("pitch_deg", 0.0) + 0.6, "roll_deg": reference.get("roll_deg", 0.0) - 0.3}
     reference |= {"level_sigma_deg": 0.005}
     meta = RecordingMeta.model_validate({**recording.meta.model_dump(exclude_none=True), "reference": reference})

@@ -12,6 +12,7 @@ from scipy.fft import dct
 
 from drivers.recording import Recording, RecordingMeta
 from inertial.documents import BlockModel, ChannelNoise, Noise
+from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.whitening import cosine_basis
 
@@ -23,6 +24,13 @@ def in_steps(increments: np.ndarray, step: float) -> np.ndarray:
     """Return increments read from an integral that is rounded to whole steps."""
     total = np.cumsum(increments, axis=0)
     return np.diff(np.rint(total / step), axis=0, prepend=0.0) * step
+
+
+def model_in_steps(step: float, *, free: bool = False) -> BlockModel:
+    """Return an ideal block that states the noise, and that its gyros read in steps [rad]."""
+    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
+    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=step) for axis in "xyz"}
+    return BlockModel(noise=Noise(**channels, free=free))
 
 
 @pytest.mark.parametrize("noise_steps", [0.15, 0.3, 1.0])
@@ -52,9 +60,7 @@ def test_a_gyro_that_reads_in_coarse_steps_hides_nothing(free: bool) -> None:
     case = recording(None, 31)
     samples = case.samples.copy()
     samples["dtheta"] = in_steps(samples["dtheta"], STEP_RAD)
-    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
-    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=STEP_RAD) for axis in "xyz"}
-    believed = BlockModel(noise=Noise(**channels, free=free))
+    believed = model_in_steps(STEP_RAD, free=free)
     report = discrepancy([replace(case, samples=samples)], believed)
     assert (report.verdict, report.findings) == ("none", []), report.document["text"]
 
@@ -97,9 +103,8 @@ def test_a_limit_met_by_a_turn_at_one_rate_is_told_by_the_noise_that_is_gone(ste
     samples["dtheta"][:, 2] = np.clip(samples["dtheta"][:, 2] * RATE_HZ, -limit, limit) / RATE_HZ
     if step:
         samples["dtheta"] = in_steps(samples["dtheta"], step)
-    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
-    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=step) for axis in "xyz"}
-    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    believed = model_in_steps(step)
+    report = discrepancy([replace(case, samples=samples)], believed)
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("saturation", "gyro_z")]
     assert abs(report.findings[0]["parameters"]["limit"]["value"] - limit) < 1e-3 * limit
 
@@ -112,9 +117,8 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
         wave = np.exp(-lag / 2.0) * np.sin(2.0 * np.pi * rng.uniform(0.8, 2.2) * lag)
         samples["dtheta"][:, 1] += 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ) * rng.choice([-1.0, 1.0]) * wave
     samples["dtheta"] = in_steps(samples["dtheta"], 2.0 * STEP_RAD)
-    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
-    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=2.0 * STEP_RAD) for axis in "xyz"}
-    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    believed = model_in_steps(2.0 * STEP_RAD)
+    report = discrepancy([replace(case, samples=samples)], believed)
     assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
 
@@ -125,15 +129,17 @@ def test_sensors_exchanged_while_shaken_have_each_their_own_course_and_noise() -
     shaken = (samples["time"] > 205.0) & (samples["time"] <= 235.0)
     course = rng.standard_normal(int(shaken.sum()))
     samples["dv"][shaken] += 0.2 / RATE_HZ * (course - course.mean())[:, None] * np.array([0.28, 0.0, 0.96])
-    samples["dv"] = samples["dv"][:, [2, 1, 0]]
+    exchanged = samples.copy()
+    exchanged["dv"] = samples["dv"][:, [2, 1, 0]]
     motion = {"kind": "vibration", "start_s": 205.0, "end_s": 235.0, "grms": 0.02, "band_hz": [0.1, 10.0]}
-    meta = {
-        **case.meta.model_dump(exclude_none=True),
-    }
+    meta = case.meta.model_dump(exclude_none=True)
     meta["motion"].append({**motion, "axis": [0.28, 0.0, 0.96]})
-    report = discrepancy([Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)], model())
+    shaken_meta = RecordingMeta.model_validate(meta)
+    right, wrong = (Recording(s, shaken_meta, case.path, case.meta_path) for s in (samples, exchanged))
+    report = discrepancy([wrong], model())
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("axis_swap", "accel_x<-accel_z")]
     assert report.verdict == "named"
+    np.testing.assert_allclose(report.scenes[0].shaken, compare(right, model()).shaken, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", [37, 38])
@@ -145,9 +151,8 @@ def test_heavy_tails_under_rounding_are_noise_as_stated(seed: int) -> None:
     n = len(samples)
     tails = rng.standard_normal((n, 3)) * np.where(rng.random((n, 3)) < 0.01, 6.0, 1.0) / np.sqrt(1.35)
     samples["dtheta"] = in_steps(closed_form.truth(False, False)["gyro"] / RATE_HZ + sigma * tails, 2.0 * sigma)
-    channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
-    channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=2.0 * sigma) for axis in "xyz"}
-    report = discrepancy([replace(case, samples=samples)], BlockModel(noise=Noise(**channels)))
+    believed = model_in_steps(2.0 * sigma)
+    report = discrepancy([replace(case, samples=samples)], believed)
     assert (report.verdict, report.findings) == ("none", []), report.document["text"]
 
 
@@ -159,9 +164,8 @@ def test_frames_lost_from_a_coarse_readout_leave_no_larger_noise() -> None:
         samples = case.samples.copy()
         samples["dtheta"] = in_steps(samples["dtheta"], 2.0 * STEP_RAD)
         kept = np.random.default_rng(seed).random(len(samples)) > 0.03
-        channels = {f"accel_{axis}": ChannelNoise(white=WHITE["accel"]) for axis in "xyz"}
-        channels |= {f"gyro_{axis}": ChannelNoise(white=WHITE["gyro"], quantisation=2.0 * STEP_RAD) for axis in "xyz"}
-        report = discrepancy([replace(case, samples=samples[kept])], BlockModel(noise=Noise(**channels)))
+        believed = model_in_steps(2.0 * STEP_RAD)
+        report = discrepancy([replace(case, samples=samples[kept])], believed)
         names |= {one["effect"] for one in report.findings}
     assert names == {"lost_samples"}
 

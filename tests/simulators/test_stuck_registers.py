@@ -38,7 +38,7 @@ def test_zeros_of_a_small_input_that_comes_and_goes_are_no_stuck_register() -> N
     for seed in range(5):
         case = recording(None, 60 + seed, moving=False)
         samples, rng = case.samples, np.random.default_rng(seed)
-        lean = np.full(len(samples), 0.4)
+        lean = np.full(len(samples), 0.8)
         for first in range(150, 4600, 350):
             lean[first : first + rng.integers(20, 36)] = 0.0
         total = np.rint(np.cumsum(lean + 0.3 * rng.standard_normal(len(samples))))
