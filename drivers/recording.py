@@ -161,9 +161,6 @@ def _read_columns(path: Path) -> pa.Table:
     if table.num_rows < 2:
         reason = f"holds {table.num_rows} sample{'s' * (table.num_rows != 1)}"
         raise RecordingError(path, "", reason, "Give at least two: an interval needs both its ends")
-    twice = {name for name in table.column_names if table.column_names.count(name) > 1}
-    if twice:
-        raise RecordingError(path, f"column {min(twice)}", "stands there twice", "Keep one of them")
     return table
 
 
@@ -251,8 +248,10 @@ class _Table:
         return [name for name in self.table.column_names if is_known_column(name)] + list(self.mapping)
 
     def _check_names(self) -> None:
-        """Refuse missing columns, our quantities in other units, and mappings of nothing."""
+        """Refuse columns missing or there twice, our quantities in other units, and mappings of nothing."""
         present, toml = self.table.column_names, self.meta_path.name
+        if twice := {name for name in present if present.count(name) > 1}:
+            raise RecordingError(self.path, f"column {min(twice)}", "stands there twice", "Keep one of them")
         for name, column in self.meta.columns.items():
             if name not in present:
                 hint = name_hint(name, present)

@@ -86,6 +86,15 @@ def test_a_bad_row_in_a_later_piece_is_named_as_in_the_whole(tmp_path: Path, mon
             read_recording(path, limit)
 
 
+def test_a_column_that_stands_there_twice_is_refused_however_long_the_recording(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "twice", samples_of(500), META)
+    table = pa.parquet.read_table(path)
+    pa.parquet.write_table(table.append_column("dv_x_mps", table.column("dv_x_mps")), path)
+    for limit in (None, 100):
+        with pytest.raises(RecordingError, match="dv_x_mps: stands there twice"):
+            read_recording(path, limit)
+
+
 READ = """
 import sys
 from drivers.recording import read_recording
