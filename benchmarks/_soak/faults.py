@@ -26,9 +26,9 @@ class Fault:
     begin: Callable[[Plant, Random], list[Undo]]
     possible: Callable[[Plant], bool] = lambda _: True
     needs_line: bool = False
+    """Whether the block must be streaming for it to happen, and to be undone."""
     ends: bool = False
     """Whether the service's process ends by it."""
-    """Whether the block must be streaming for it to happen, and to be undone."""
 
 
 def _unplug(low_s: float, high_s: float) -> Callable[[Plant, Random], list[Undo]]:
