@@ -80,10 +80,16 @@ def steps_of_a_kind(
 ) -> tuple[list[TermHistories], list[Sizes], list[list[list[Step]]]]:
     """Fit and search the axes of a kind in turn until the steps stay as they are.
 
+    Parameters
+    ----------
+    histories
+        Of each axis.
+    allowance
+        False alarms a year that one term of one block may raise.
+
     Returns
     -------
-    For each axis its histories with the steps marked, its sizes, and every block's steps. ``allowance``: false alarms a
-    year that one term of one block may raise.
+    For each axis its histories with the steps marked, its sizes, and every block's steps.
     """
     marked = list(histories)
     best: list[Sizes] = []

@@ -62,16 +62,16 @@ STEEPEST = 100.0
 
 @compiled
 def _growth(months: Array, decline: float, bend: float, law_months: float) -> Array:
-    year = 12.0 + law_months
+    year = YEAR_MONTHS + law_months
     first = math.log(law_months)
-    panel = (math.log(max(12.0, months.max()) + law_months) - first) / PANELS
+    panel = (math.log(max(YEAR_MONTHS, months.max()) + law_months) - first) / PANELS
     # The slope of h by u = ln(t + τ), at the ends and in the middle of every panel.
     slope = np.empty(2 * PANELS + 1)
     for k in range(2 * PANELS + 1):
         u = first + 0.5 * k * panel
         x = u - math.log(year)
         stretched = x if abs(bend * x) < 1e-9 else math.expm1(bend * x) / bend
-        slope[k] = math.exp(min(u - decline * year / 12.0 * stretched, STEEPEST))
+        slope[k] = math.exp(min(u - decline * year / YEAR_MONTHS * stretched, STEEPEST))
     height = np.zeros(PANELS + 1)
     for k in range(PANELS):
         height[k + 1] = height[k] + panel / 6.0 * (slope[2 * k] + 4.0 * slope[2 * k + 1] + slope[2 * k + 2])

@@ -143,10 +143,12 @@ class Searcher:
 
         Each alone leaves so much that the noise stays wide, in which it has gained next to nothing.
         """
-        quiet = self.quiet(current)
-        look = Look(self.evidence, current, quiet)
+        wide = [slot for slot in self.evidence.slots if current.noise[slot].level != STATED]
+        if not wide:
+            return None
+        look = Look(self.evidence, current, self.quiet(current))
         best: tuple[float, list[Hypothesis], Fit] | None = None
-        for slot in (s for s in self.evidence.slots if current.noise[s].level != STATED):
+        for slot in wide:
             for pair in self._pairs_in_quiet(slot, look, {h.name for h in adopted}):
                 pair = [self._timed(h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
                 fit = self._fit_of([*adopted, *pair], current)
@@ -163,9 +165,8 @@ class Searcher:
         if one.effect != "bias_step":
             return one
         fit = self._fit_of(others, current)
-        power, basis = self.evidence.quiet(slot, fit.rss[slot]).power, self.evidence.basis[slot]
-        left = self.library.left(slot, fit.ids, fit.amplitude)
-        first, _ = self.evidence.steps(slot).best(score_of(left, power, basis, self.library.spread[slot]), power)
+        power = self.evidence.quiet(slot, fit.rss[slot]).power
+        first, _ = self.evidence.steps(slot).best(self._score_left(slot, fit, power), power)
         return self.step_trial(slot, first) or one
 
     def _pairs_in_quiet(self, slot: Slot, look: Look, taken: set[tuple[str, str]]) -> list[list[Hypothesis]]:
@@ -366,8 +367,7 @@ class Searcher:
         for model in (noise, current.noise):
             for slot in self.evidence.slots:
                 basis, power = self.evidence.basis[slot], model[slot].power
-                left = self.library.left(slot, current.ids, current.amplitude)
-                score = score_of(left, power, basis, self.library.spread[slot])
+                score = self._score_left(slot, current, power)
                 first, gain = self.evidence.steps(slot).best(score, power)
                 if gain > _STEP_NATS:
                     late.append(self.step_trial(slot, first))
@@ -375,6 +375,10 @@ class Searcher:
                 if gain > math.log(basis.n) + _LINE_NATS:
                     late.append(self.line_trial(slot, hertz))
         return [h for h in late if h is not None]
+
+    def _score_left(self, slot: Slot, fit: Fit, power: Array) -> Array:
+        left = self.library.left(slot, fit.ids, fit.amplitude)
+        return score_of(left, power, self.evidence.basis[slot], self.library.spread[slot])
 
     def step_trial(self, slot: Slot, first: int) -> Hypothesis | None:
         """Return a step before an analysed sample."""

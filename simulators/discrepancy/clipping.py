@@ -16,7 +16,8 @@ from scipy.ndimage import uniform_filter1d
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
-from simulators.discrepancy.standing import FREE_SHARE, longest_by_rounding
+from simulators.discrepancy.standing import longest_by_rounding
+from simulators.discrepancy.whitening import FREE_SHARE
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.repair import Gaps
-from simulators.discrepancy.standing import FREE_SHARE
-from simulators.discrepancy.whitening import Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
+from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.whitening import FREE_SHARE
 
 Array = NDArray[np.float64]
 
@@ -25,9 +26,7 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
-_ORDINARY, _MOSTLY = 0.9, 0.5
-FREE_SHARE = 0.5
-"""Of a white noise of which a model knows the size about: so much is there at least."""
+_ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's h
 _STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _MOMENTS = 4  # of each at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
+FREE_SHARE = 0.5
+"""Of noise of which a model knows the size about: so much is there at least."""
 _WEIGHED = 200  # rounds
 ROUNDED_AT = (0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
