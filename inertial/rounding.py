@@ -11,41 +11,95 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import dct
 
 from inertial.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
 _HARMONICS = 8
+_DRAWS = 16
 LOOKED_AT = 1 << 16  # readings are enough to show a lattice
 _OFF_LATTICE = 0.02  # rms distance from the lattice, in steps; readings on none have 0.29
+_COARSE = 20.0  # last places of a frame that a step must have to be told from them
+_TOGETHER = 3.0  # last places within which two increments are one
+_TO_FRAME = 1e-3  # of a step that a frame's own finer one is taken to be where nobody says
+_SURE = 0.25  # of a step that its own uncertainty may put an increment off
 
 
-def increment_step(increments: Array) -> tuple[float, float, float] | None:
+def increment_step(increments: Array, last_place: float | None = None) -> tuple[float, float, float] | None:
     """Find the lattice on which increments lie.
+
+    It need not pass through zero: what is compensated after the readout shifts it.
 
     Parameters
     ----------
     increments : (n,) readings times interval [y·s]
+    last_place : step in which the frame counts [y·s]; a lattice not much coarser is the frame's own. None: it is not
+        known, and the readings are of a block at rest, so that neighbours much closer than others are the frame's.
 
     Returns
     -------
     step, its 1σ, and the lattice's origin [y·s], or None where the increments lie on no lattice that shows.
     """
     values = np.unique(increments)
-    if values.size < 2 or values.size > increments.size // 4:
+    if values.size < 2 or (last_place is None and values.size > increments.size // 4):
         return None
     gaps = np.diff(values)
-    # neighbours closer than that are one step apart from each other by the frame's own finer step only
-    step = float(gaps[gaps > 0.05 * gaps.max()].min())
-    for _ in range(3):
-        index = np.round((values - values[0]) / step)
-        step, origin = (float(c) for c in np.polyfit(index, values, 1))
+    if last_place is None:
+        gaps[gaps < 0.05 * gaps.max()] = np.inf
+    else:
+        gaps[gaps < max(_TOGETHER * last_place, 1e-9 * float(np.abs(values).max()))] = np.inf
+    step = float(gaps.min())
+    error = _TO_FRAME * step if last_place is None else last_place
+    if not _COARSE * error <= step < np.inf:
+        return None
+    beyond = values - values[int(np.argmin(gaps))]
+    index = _counted(beyond, step, error)
+    step, origin = (float(c) for c in np.polyfit(index, values, 1))
     residual = values - origin - step * index
     rms = float(np.sqrt(np.mean(residual**2)))
-    if rms > _OFF_LATTICE * step:
+    if rms > _OFF_LATTICE * step + (last_place or 0.0):
         return None
     return step, rms / float(np.std(index) * np.sqrt(values.size)) + 1e-6 * step, origin
+
+
+def _counted(beyond: Array, step: float, error: float) -> Array:
+    """Return how many steps each value is beyond another: small numbers first, which tell the step for larger ones."""
+    rounding = error
+    while True:
+        near = np.abs(beyond) * error <= _SURE * step**2
+        counts = np.round(beyond[near] / step)
+        step = float(beyond[near] @ counts / (counts @ counts))
+        finer = rounding / float(np.abs(counts).max())
+        if near.all() or finer > 0.5 * error:
+            return np.asarray(np.round(beyond / step))
+        error = finer
+
+
+def power_scatter(advance: Array, sigma: float, bounds: npt.NDArray[np.int64]) -> Array:
+    """Return by how much the power of increments scatters from record to record, over what Gaussian noise's does.
+
+    An integral that stays near one threshold for long crosses it many times, one between two of them never. So errors
+    of a readout whose step the noise seldom crosses come in swarms. By simulation, seeded.
+
+    Parameters
+    ----------
+    advance : (n,) mean motion of the integral [steps per sample]
+    sigma : of its random motion [steps per sample]
+    bounds : (b + 1,) bins of cosine coefficients
+
+    Returns
+    -------
+    (b,) ratio of the variances of the power in each bin.
+    """
+    random, counts, powers = np.random.default_rng(advance.size), np.diff(bounds), []
+    for _ in range(_DRAWS):
+        total = random.random() + np.cumsum(advance + sigma * random.standard_normal(advance.size))
+        power = np.square(dct(np.diff(np.rint(total), prepend=0.0) - advance, norm="ortho"))
+        powers.append(np.add.reduceat(power, bounds[:-1]) / counts)
+    mean = np.maximum(np.mean(powers, axis=0), np.finfo(np.float64).tiny)
+    return np.asarray(0.5 * counts * np.var(powers, axis=0, ddof=1) / mean**2)
 
 
 @compiled

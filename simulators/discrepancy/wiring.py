@@ -1,18 +1,20 @@
 """Mistakes of wiring, before anything subtle: sensors exchanged, signs turned, units mistaken.
 
 Block means of each channel are held against every input of its triad, with either sign and the ratios of units that
-happen; a mistake is found where it explains what is measured and the channel's own input does not.
+happen; a mistake is found where it explains what is measured and the channel's own input does not. A readout whose step
+is the stated one times the ratio of two units is in the other unit, however little the input has to say.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.resolution import coarser
 from simulators.effects.unit_error import FACTORS
 
 Array = NDArray[np.float64]
@@ -22,6 +24,8 @@ _LEAST = 60.0  # by how much χ² must fall
 _SHARE = 0.05  # of χ² that may be left
 _MISFIT = 0.1  # of the signal that may be left: other effects may be there too
 _COINCIDENCE = 0.02  # how close a ratio must come to that of two units
+_STEP_COINCIDENCE = 0.001  # ... one of two steps
+_ROUND = (2.0, 10.0, 1e3)  # ratios that steps have for other reasons too
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,8 @@ class Mistake:
 
 def find_mistakes(scenes: list[Scene]) -> list[Mistake]:
     """Return the mistakes of wiring that all recordings show."""
-    found: list[Mistake] = []
+    found = _stepped_units(scenes)
+    scenes = [replace(scene, measured=mend(scene.measured, found)) for scene in scenes] if found else scenes
     for first in (0, 3):
         sources, factors, explained, steady = _best(scenes, first)
         for c in range(3):
@@ -54,6 +59,26 @@ def find_mistakes(scenes: list[Scene]) -> list[Mistake]:
             if abs(factor) != 1.0:
                 found.append(Mistake("unit_error", channel, abs(factor), explained[c], steady))
     return _whole_triads(found)
+
+
+def _stepped_units(scenes: list[Scene]) -> list[Mistake]:
+    """Return the unit errors by which channels' steps are off the stated ones in all recordings."""
+    found = []
+    ratios = [f for ratio in FACTORS.values() if ratio not in _ROUND for f in (ratio, 1.0 / ratio)]
+    for column, channel in enumerate(CHANNELS):
+        times = [coarser(scene, column) for scene in scenes]
+        for ratio in ratios:
+            if all(step is not None and abs(step / ratio - 1.0) < _STEP_COINCIDENCE for step in times):
+                explained = sum(_explained(scene, column, ratio) for scene in scenes)
+                found.append(Mistake("unit_error", channel, ratio, max(explained, _LEAST), False))
+    return found
+
+
+def _explained(scene: Scene, column: int, factor: float) -> float:
+    """Return by how much a factor of the unit lowers χ² of a channel's block means."""
+    measured, predicted, sigma = (v[..., column % 3] for v in _block_means(scene, column - column % 3))
+    off = np.square((measured - predicted) / sigma) - np.square((measured / factor - predicted) / (sigma / factor))
+    return float(np.sum(off))
 
 
 def _whole_triads(found: list[Mistake]) -> list[Mistake]:
