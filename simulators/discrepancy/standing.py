@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
@@ -27,6 +28,8 @@ _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its n
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BLOCK = 32
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
+_COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few
+_NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,8 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         off = scene.measured[came, column] * interval[came] - said
         white = getattr(scene.model.noise, channel).white * (FREE_SHARE if scene.model.noise.free else 1.0)
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
-        for first, last in _standing(increment, off, said, white_by_model):
+        shaken = _shaken(scene, column)[came] * interval[came]
+        for first, last in _standing(increment, off, said, white_by_model, shaken):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
             duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
@@ -61,11 +65,22 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _standing(increment: Array, off: Array, said: Array, white_by_model: float) -> list[tuple[int, int]]:
+def _shaken(scene: Scene, column: int) -> Array:
+    """Return by how much a vibration changes a channel's rate from one sample to the next (n,), its rms."""
+    jolt = np.zeros(len(scene.measured))
+    if column < 3:
+        for rows, axis in scene.vibrations():
+            if axis[column]:
+                jolt[rows] = float(np.sqrt(np.mean(np.diff(scene.shaken[rows, column]) ** 2)))
+    return jolt
+
+
+def _standing(increment: Array, off: Array, said: Array, white_by_model: float, shaken: Array) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
     ``off`` is by how much each increment is off the prediction, ``said``; ``white_by_model``: the σ of a sample's white
-    noise, for what goes on slowly beside it does not break runs.
+    noise, for what goes on slowly beside it does not break runs; ``shaken`` (n,) is by how much a vibration changes
+    increments, whose course is not known but by the readings.
     """
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
@@ -78,34 +93,57 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float) 
     changes = np.sort(np.abs(np.diff(off)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     by_custom = _longest_by_custom(lengths, same.size)
-    longest = max(longest_by_rounding(min(fast, white_by_model) / step, same.size), by_custom)
-    candidate = lengths >= _SHORTEST_RUN
+    white = min(fast, white_by_model)
+    longest = np.full(lengths.size, max(longest_by_rounding(white / step, same.size), by_custom))
+    jolts = shaken[first]
+    for jolt in np.unique(jolts[jolts > white]):
+        longest[jolts == jolt] = max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN)
+    candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment[first], said, first, last, step)
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     at_zero = candidate & (increment[first] == 0.0)
-    if _is_dead_band(first[at_zero], last[at_zero], said):
+    if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
     candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
     found = []
-    for a, b in zip(first[candidate], last[candidate], strict=True):
+    for a, b, chance in zip(first[candidate], last[candidate], longest[candidate], strict=True):
         astray = _astray(off, int(a), int(b), step, noise)
         short = b - a < _SHORT_RUN
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
             continue  # of a few samples only a motion that goes on without them tells
-        if b - a >= longest or astray > (_FAR_ASTRAY if short else _ASTRAY):
+        if b - a >= chance or astray > (_FAR_ASTRAY if short else _ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
 
 
-def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], said: Array) -> bool:
-    """Whether runs of zeros are where the input is small, whenever it is: a dead band, and no register that stuck."""
+def _at_limit(
+    readings: Array, said: Array, first: NDArray[np.int64], last: NDArray[np.int64], step: float
+) -> NDArray[np.bool_]:
+    """Return which runs are of the largest reading there is, while the input is said to be larger still: at a limit."""
+    sums = np.concatenate([[0.0], np.cumsum(said)])
+    inputs = (sums[last + 1] - sums[first]) / (last + 1 - first)
+    largest = np.abs(readings) > float(np.abs(readings).max(initial=0.0)) - 1.5 * step
+    return np.asarray(largest & (np.sign(readings) * inputs > np.abs(readings) + step))
+
+
+def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Array, said: Array, white: float) -> bool:
+    """Whether runs of zeros are where the input is small, whenever it is: a dead band, and no register that stuck.
+
+    Readings, input and a sample's white noise are in steps. Outside the runs, a readout in steps is other than zero as
+    often as input and noise together are large.
+    """
     if not first.size:
         return False
     silent = np.zeros(said.size, dtype=np.bool_)
     for a, b in zip(first, last, strict=True):
         silent[a : b + 1] = True
     as_small = np.abs(said) <= np.quantile(np.abs(said[silent]), _ORDINARY)
-    return float(np.mean(silent[as_small])) > _MOSTLY
+    if float(np.mean(silent[as_small])) > _MOSTLY:
+        return True
+    beside = as_small & ~silent
+    jolted = said[beside, None] + white * _NORMAL
+    expected = float(np.mean(np.minimum(np.abs(jolted), 1.0))) if beside.any() else 0.0
+    return beside.sum() * expected > _COUNTED and float(np.mean(reading[beside] != 0.0)) < _MOSTLY * expected
 
 
 def _mean_run(increment: Array) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from closed_form import RATE_HZ, model, recording
 
-from drivers.recording import Recording
+from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.standing import find_stuck
 
@@ -69,3 +69,45 @@ def test_a_knock_that_some_readings_share_is_no_stuck_register_at_rest() -> None
     for first in range(200, 4600, 400):
         case.samples["dv"][first : first + 5, 0] += step
     assert find_stuck(compare(case, model()))[1] == []
+
+
+def test_a_register_that_stands_still_under_vibration_is_found_though_nobody_knows_its_course() -> None:
+    case = recording(None, 13, moving=False)
+    shaken = {"kind": "vibration", "start_s": 60.0, "end_s": 200.0, "grms": 0.01, "band_hz": [1.0, 9.0]}
+    meta = RecordingMeta.model_validate(
+        {**case.meta.model_dump(exclude_none=True), "motion": [{**shaken, "axis": [1.0, 0.0, 0.0]}]}
+    )
+    samples = case.samples.copy()
+    rows = (samples["time"] > 60.0) & (samples["time"] <= 200.0)
+    samples["dv"][rows, 0] += 0.1 * np.random.default_rng(13).standard_normal(int(rows.sum())) / RATE_HZ
+    case = coarse(Recording(samples, meta, case.path, case.meta_path), mean_steps=7.0)
+    assert find_stuck(compare(case, model()))[1] == []
+    case.samples["dv"][2400:2412, 0] = case.samples["dv"][2399, 0]
+    found = find_stuck(compare(case, model()))[1]
+    assert [(one.channel, round(one.start_s * RATE_HZ)) for one in found] == [("accel_x", 2400)]
+
+
+def test_readings_at_a_limit_are_no_stuck_register() -> None:
+    """Gravity a little beyond the limit in one attitude: the noise is gone there, and the reading stands still."""
+    case = recording(None, 14)
+    limit = 3263.0 * STEP_MPS
+    total = np.rint(np.cumsum(np.minimum(case.samples["dv"][:, 2], limit)) / STEP_MPS)
+    case.samples["dv"][:, 2] = np.diff(total, prepend=0.0) * STEP_MPS
+    assert find_stuck(compare(case, model()))[1] == []
+
+
+def test_zeros_of_a_dead_band_are_no_stuck_register_however_long() -> None:
+    """Noise lifts one reading in twenty over the band; in between zeros last longer than rounding makes them last."""
+    turn = {"kind": "turn", "start_s": 20.0, "end_s": 230.0, "rate_dps": 9.0, "axis": [0.0, 0.0, 1.0], "frame": "body"}
+    step = 1.5e-5
+    for seed in range(4):
+        case = recording(None, 80 + seed, moving=False)
+        meta = RecordingMeta.model_validate({**case.meta.model_dump(exclude_none=True), "motion": [turn]})
+        samples = case.samples.copy()
+        turning = (samples["time"] > 20.0) & (samples["time"] <= 230.0)
+        inputs = samples["dtheta"][:, 2] / step + 0.45 * np.random.default_rng(seed).standard_normal(len(samples))
+        inputs[turning] += np.radians(9.0) / RATE_HZ / step
+        sent = np.where(np.abs(inputs) < 1.0, 0.0, inputs)
+        samples["dtheta"][:, 2] = np.diff(np.rint(np.cumsum(sent)), prepend=0.0) * step
+        scene = compare(Recording(samples, meta, case.path, case.meta_path), model(factor=10.0))
+        assert find_stuck(scene)[1] == []
