@@ -113,6 +113,8 @@ class Searcher:
             if not new:
                 break
             adopted, current = self._polish(*self._settle([*adopted, *new], current, adopted))
+            if self.evidence.restate(current.rss):
+                bare, current = self.evidence.fit([]), self._fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted)
         return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
 
@@ -393,7 +395,7 @@ class Searcher:
 
     # second thoughts -----------------------------------------------------------------------------------------------
 
-    def _fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit) -> Fit:
+    def _fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 

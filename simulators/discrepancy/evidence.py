@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.protocols.native import DTHETA_LSB_RAD, DV_LSB_MPS
-from inertial.documents import CHANNELS
+from inertial.documents import CHANNELS, ChannelNoise
+from inertial.rounding import power_scatter
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.repair import Gaps
+from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _MANY = 64
 _APART = 1e-3  # squared sine between two columns that are tried together
 _NOTHING = 1e-7  # share of a column's power
+_RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
 
@@ -67,6 +69,9 @@ class Evidence:
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
+        self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
+        self._torn: dict[Slot, float] = {}
+        self._scatter: dict[Slot, float] = {}
         self._local: dict[Slot, dict[int, int]] = {}
         self._gram: dict[Slot, Array] = {}
         self._with_residual: dict[Slot, Array] = {}
@@ -108,6 +113,40 @@ class Evidence:
             fitted = replace(fitted, power=stated)
         return fitted
 
+    def scatter(self, slot: Slot) -> float:
+        """Return by how much the power of rounding errors scatters more between records than Gaussian noise's would.
+
+        1 where rounding is lost in the noise. Found by rounding the stated noise on the mean motion.
+        """
+        if slot not in self._scatter:
+            scene, basis = self.library.scenes[slot[0]], self.basis[slot]
+            noise = getattr(scene.model.noise, CHANNELS[slot[1]])
+            rounded = basis.frequency_hz > freely_rounded_hz(noise, basis.interval_s)
+            self._scatter[slot] = 1.0
+            if rounded.any():
+                measured, predicted = (
+                    scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted)
+                )
+                per_step = basis.interval_s / noise.quantisation
+                advance = (predicted + np.mean(measured - predicted)) * per_step
+                sigma = noise.white / math.sqrt(basis.interval_s) * per_step
+                scatter = power_scatter(advance, sigma, basis.bounds)
+                weight = basis.counts * rounded
+                self._scatter[slot] = max(1.0, float(weight @ scatter / weight.sum()))
+        return self._scatter[slot]
+
+    def restate(self, rss: Mapping[Slot, Array]) -> bool:
+        """Take the stated noise to be spread as what is left says, which it cannot say while structure is in it.
+
+        Return whether that changed it, so that fits made before are to be made again, noise and all.
+        """
+        changed = False
+        for slot, (noise, stated) in self._rounded.items():
+            before, after = self.power(slot), self.basis[slot].likeliest(stated, noise, rss[slot]) + self._torn[slot]
+            changed |= bool(np.max(np.abs(after / before - 1.0)) > _RESPREAD)
+            self.stated[slot] = after
+        return changed
+
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
@@ -115,7 +154,7 @@ class Evidence:
         came = 1.0 - float(scene.data.missing[:, slot[1]].mean())
         self.eased[slot] = came * float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
-        lsb = (DV_LSB_MPS if slot[1] < 3 else DTHETA_LSB_RAD) / math.sqrt(scene.group)
+        lsb = last_place(slot[1]) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
         share = FREE_SHARE**2 if scene.model.noise.free else 1.0
@@ -125,9 +164,11 @@ class Evidence:
         if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
             basis = basis.rounded(noise, (measured, predicted))
             if stated is not None:
+                self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
         if stated is not None:
-            stated = stated + _torn(Gaps.of(scene.data.missing[:, slot[1]]), noise.quantisation, basis)
+            self._torn[slot] = _torn(Gaps.of(scene.data.missing[:, slot[1]]), noise.quantisation, basis)
+            stated = stated + self._torn[slot]
         self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
             basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))

@@ -12,6 +12,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
 from simulators.discrepancy.whitening import ease, fit_noise
 
 Array = NDArray[np.float64]
@@ -26,6 +27,8 @@ TERMS = {
 MARGIN = 7.0
 OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
+SEEN = 50.0
+"""Evidence [nats] of what the increments themselves show."""
 _PLACES = 24.0
 _OF_SAMPLES = ("random_walk", "quantisation")  # whose size is that of single samples
 _LEVEL_SIGMAS = 3.0
@@ -77,13 +80,19 @@ def _of_channel(
         free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
         wide += _whittle(rss, basis.counts, free.power)
         power[slot] = ease(stated, free.power, evidence.eased[slot])
-    tails = max(_tails(evidence, fit, slot) for slot in slots)
+    scatter = max(evidence.scatter(slot) for slot in slots)
+    tails = max(scatter, *(_tails(evidence, fit, slot) for slot in slots))
     found: list[NoiseFinding] = []
     value = _total(evidence, fit, power)
+    steps = [step for slot in slots if (step := coarser(evidence.library.scenes[slot[0]], slot[1])) is not None]
+    as_stated = any(abs(step - 1.0) <= AS_STATED for step in steps)
+    if steps and min(steps) > 1.0 + AS_STATED:
+        coarse, power = _coarse(evidence, fit, power, min(steps))
+        found, value = [coarse], value + coarse.gain
     while len(found) < 2:
         trials = []
         for effect, (_, unit) in TERMS.items():
-            if effect in [f.effect for f in found]:
+            if effect in [f.effect for f in found] or (effect == "quantisation" and as_stated):
                 continue
             variance = _best(evidence, fit, power, unit)
             changed = {s: power[s] + variance * evidence.basis[s].stated(unit, 0.0) for s in slots}
@@ -102,7 +111,7 @@ def _of_channel(
         power, value = changed, value + gain
     gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
     total = sum(f.gain for f in found)
-    if gained > OTHER_COLOUR + 0.02 * total:
+    if gained / scatter > OTHER_COLOUR + 0.02 * total:
         lower = all(np.median(fit.noise[slot].power / power[slot]) < 0.9 for slot in slots)
         if not lower:
             slot = slots[0]
@@ -112,6 +121,20 @@ def _of_channel(
             band = (float(odd.min()), float(odd.max())) if odd.size else (0.0, float(frequency[-1]))
             return [], [OtherNoise(channel, gained + total, band)]
     return found, []
+
+
+def _coarse(
+    evidence: Evidence, fit: Fit, power: dict[Slot, Array], times: float
+) -> tuple[NoiseFinding, dict[Slot, Array]]:
+    """Return the finding of a step so many times the stated one, as the increments show it, and the power with it."""
+    scene, column = next((evidence.library.scenes[slot[0]], slot[1]) for slot in power)
+    stated = getattr(scene.model.noise, CHANNELS[column]).quantisation
+    beyond = stated * math.sqrt(times**2 - 1.0)
+    unit = TERMS["quantisation"][1]
+    changed = {slot: now + beyond**2 * evidence.basis[slot].stated(unit, 0.0) for slot, now in power.items()}
+    sigma = last_place(column) * times * stated / beyond
+    gain = _total(evidence, fit, changed) - _total(evidence, fit, power)
+    return NoiseFinding("quantisation", CHANNELS[column], beyond, sigma, gain, max(gain, SEEN), ()), changed
 
 
 def _tails(evidence: Evidence, fit: Fit, slot: Slot) -> float:

@@ -30,6 +30,7 @@ _SHARE_SEEN = 0.8  # of a block that must have been measured
 _COEFFICIENTS = 8  # that make up one block's power
 _FIRST, _HIGHEST_HZ = 32, 5.0
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
+_SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
 _MANY_LINES = 4
 _HARMONIC, _BAND, _DOMINANT = 0.01, 1.3, 0.9
 
@@ -183,7 +184,9 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
     white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
     came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
     noise = getattr(scene.model.noise, CHANNELS[slot[1]])
-    highest_hz = min(_HIGHEST_HZ, freely_rounded_hz(noise, basis.interval_s)) if scene.turns() else _HIGHEST_HZ
+    highest_hz = _HIGHEST_HZ
+    if scene.turns() or search.evidence.scatter(slot) > _SWARMS:  # rounding errors come and go themselves
+        highest_hz = min(_HIGHEST_HZ, freely_rounded_hz(noise, basis.interval_s))
     best, when, bands, highest = 0.0, 0.0, 0, _FIRST
     while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * highest_hz):
         count = highest // _COEFFICIENTS

@@ -178,3 +178,21 @@ def test_rounding_of_a_channel_that_says_nothing_is_as_stated(white: float) -> N
     stated = basis.stated(noise, 1e-12, (steady, steady))
     for rss in (np.zeros_like(stated), stated * basis.counts):
         assert np.all(np.isfinite(basis.likeliest(stated, noise, rss)))
+
+
+@pytest.mark.parametrize("steps", [4.0, 8.0, 20.0])
+def test_rounding_errors_that_come_in_swarms_are_nothing_to_find(steps: float) -> None:
+    """The integral hardly moves, so it crosses a step often near a threshold, and elsewhere not for a long time."""
+    step = steps * WHITE["gyro"] / np.sqrt(RATE_HZ)
+    bias = closed_form.truth(moving=False, warming=False)["gyro"][0] - 0.005 * step * RATE_HZ
+    believed = model_in_steps(step)
+    for axis, value in zip("xyz", bias, strict=True):
+        calibration = getattr(believed.calibration, f"gyro_{axis}").model_copy(update={"bias_radps": float(value)})
+        shifted = believed.calibration.model_copy(update={f"gyro_{axis}": calibration})
+        believed = believed.model_copy(update={"calibration": shifted})
+    for seed in range(3):
+        case = recording(None, 90 + seed, moving=False)
+        samples = case.samples.copy()
+        samples["dtheta"] = in_steps(samples["dtheta"] - bias / RATE_HZ, step)
+        report = discrepancy([replace(case, samples=samples)], believed)
+        assert report.verdict == "none", (seed, report.document["text"])
