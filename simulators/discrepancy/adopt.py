@@ -32,7 +32,7 @@ TIE = 3.0
 SAME = 0.1
 """... and within so many are one column to these recordings: what lies between them is rounding."""
 MOST_FINDINGS = 8
-_LEADERS = 9
+_LEADERS = 12
 _REFINED = 7
 _SHARPENED = 3
 _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
@@ -276,7 +276,8 @@ class Searcher:
             )
             room = {Kind.NAMED: _LEADERS, Kind.REFERENCE: 3, Kind.EMPIRICAL: 3}
             seen: set[tuple[str, str]] = set()
-            for place in np.argsort(-scores):
+            plain = np.array([_plainness(h) for h in pool])
+            for place in np.argsort(-(scores + SAME * (plain > 0)), kind="stable"):
                 h = pool[int(place)]
                 if h.name in seen or not room[h.kind] or gains[place] < 2.0:
                     continue
@@ -446,12 +447,16 @@ class Searcher:
 
 
 def _plainest(named: Sequence[Scored]) -> Scored | None:
-    """Return the best; of names that are one and the same in these recordings the bias.
+    """Return the best; of names that are one and the same in these recordings the bias, or else the scale factor.
 
     What is constant is a bias by definition (IEEE 528) until a recording shows what it depends on.
     """
     same = [s for s in named if s.score > named[0].score - SAME]
-    return next((s for s in same if s.hypothesis.effect == "bias_shift"), named[0] if named else None)
+    return max(same, key=lambda s: _plainness(s.hypothesis), default=None)
+
+
+def _plainness(hypothesis: Hypothesis) -> int:
+    return {"bias_shift": 2, "scale_factor": 1}.get(hypothesis.effect, 0)
 
 
 def _silent(share: float, text: str) -> None:

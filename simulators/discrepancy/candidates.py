@@ -42,6 +42,8 @@ FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
 EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
+AWAY_C = 1.0
+"""By which a steady temperature must be off the usual reference for a coefficient to show."""
 USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
 FITTED_PLACES = 30.0
@@ -273,8 +275,11 @@ class Library:
             case "bias_temperature" | "scale_temperature":
                 mean = float(np.mean([np.mean(s.seen.temperature_c[:, 0]) for s in self.scenes]))
                 first = float(scene.seen.temperature_c[0, 0])
+                if not self._warms():  # nor does it cool: what depends on temperature stays what it is
+                    known = all(s.warm for s in self.scenes)
+                    return [{"reference": t} for t in USUAL["reference"][:1] if known and abs(mean - t) > AWAY_C]
                 references = dict.fromkeys((mean, *USUAL["reference"], first))
-                return [{"reference": t} for t in references] if self._warms() else []
+                return [{"reference": t} for t in references]
             case "supply_sensitivity":
                 volts = [float(np.mean(s.seen.supply_v)) for s in self.scenes]
                 spread = max(float(np.ptp(s.seen.supply_v)) for s in self.scenes)

@@ -26,6 +26,7 @@ _SHORT_RUN = 6
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
+_BESIDE = 50  # samples beside a run that say how it would have been shaken
 _BLOCK = 32
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few
@@ -66,13 +67,21 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
 
 
 def _shaken(scene: Scene, column: int) -> Array:
-    """Return by how much a vibration changes a channel's rate from one sample to the next (n,), its rms."""
-    jolt = np.zeros(len(scene.measured))
+    """Return by how much a vibration changes a channel's rate from each sample to the next (n,)."""
+    change = np.zeros(len(scene.measured))
     if column < 3:
         for rows, axis in scene.vibrations():
             if axis[column]:
-                jolt[rows] = float(np.sqrt(np.mean(np.diff(scene.shaken[rows, column]) ** 2)))
-    return jolt
+                change[rows] = np.diff(scene.shaken[rows, column], prepend=scene.shaken[rows, column][:1])
+    return change
+
+
+def _jolts(shaken: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
+    """Return the rms change before each run or after it, whichever is less: what it would have been during the run."""
+    squares = np.concatenate([[0.0], np.cumsum(shaken**2)])
+    before, behind = np.maximum(first - _BESIDE, 0), np.minimum(last + 1 + _BESIDE, shaken.size)
+    sides = squares[first] - squares[before], squares[behind] - squares[last + 1]
+    return np.asarray(np.sqrt(np.minimum(*sides) / _BESIDE))
 
 
 def _standing(increment: Array, off: Array, said: Array, white_by_model: float, shaken: Array) -> list[tuple[int, int]]:
@@ -80,7 +89,7 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float, 
 
     ``off`` is by how much each increment is off the prediction, ``said``; ``white_by_model``: the σ of a sample's white
     noise, for what goes on slowly beside it does not break runs; ``shaken`` (n,) is by how much a vibration changes
-    increments, whose course is not known but by the readings.
+    them from sample to sample: its course is not known but by the readings.
     """
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
@@ -95,9 +104,9 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float, 
     by_custom = _longest_by_custom(lengths, same.size)
     white = min(fast, white_by_model)
     longest = np.full(lengths.size, max(longest_by_rounding(white / step, same.size), by_custom))
-    jolts = shaken[first]
-    for jolt in np.unique(jolts[jolts > white]):
-        longest[jolts == jolt] = max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN)
+    for run, jolt in enumerate(_jolts(shaken, first, last)):
+        if jolt > white:
+            longest[run] = min(longest[run], max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN))
     candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment[first], said, first, last, step)
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     at_zero = candidate & (increment[first] == 0.0)

@@ -181,8 +181,10 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 6.0, 8.0)
-"""What each level costs [nats] where the model states its noise, or the proportions of its terms."""
+PENALTY = (0.0, 3.0, 12.0, 14.0)
+"""What each level costs [nats] where the model states its noise."""
+PENALTY_SHAPED = (0.0, 3.0, 9.0, 11.0)
+"""... where it states the proportions of its terms."""
 PENALTY_FREE = (math.inf, 0.0, 3.0, 6.0)
 
 
@@ -205,7 +207,7 @@ def fit_noise(
     random walk of one coefficient would swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
     """
     shape = basis.shape if stated is None else None
-    penalty = PENALTY_FREE if stated is None and shape is None else PENALTY
+    penalty = PENALTY if stated is not None else PENALTY_FREE if shape is None else PENALTY_SHAPED
     best: NoiseFit | None = None
     start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
