@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
+from inertial.rounding import largest_line
 from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.whitening import STATED, NoiseFit, freely_rounded_hz
+from simulators.discrepancy.whitening import FREE_SHARE, ROUNDED_AT, STATED, NoiseFit, freely_rounded_hz
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -248,7 +249,7 @@ class Searcher:
         return sorted(scored, key=lambda s: -s.score)
 
     def _is_rounding(self, one: Scored) -> bool:
-        """Whether a line may be one of the rounding error, whose first harmonic has the amplitude step/π."""
+        """Whether a line may be one of the rounding error, no larger than noise of less than is stated leaves it."""
         h = one.hypothesis
         if h.effect != "sinusoid":
             return False
@@ -258,7 +259,10 @@ class Searcher:
             return False
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         angle = size * scene.interval_s / (2.0 * math.sin(math.pi * hertz * scene.interval_s))
-        return bool(angle < noise.quantisation / math.pi)
+        least = ROUNDED_AT[0] * (FREE_SHARE if scene.model.noise.free else 1.0)
+        jolt = least * noise.white * math.sqrt(scene.interval_s) / noise.quantisation
+        samples = len(scene.time_s) // scene.group
+        return bool(angle < noise.quantisation * largest_line(jolt, samples))
 
     def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[tuple[float, Hypothesis]]:
         """Return what promises most, by the score that it would have if the noise were as it is, or quiet."""

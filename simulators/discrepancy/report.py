@@ -23,6 +23,7 @@ from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
+from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
@@ -86,20 +87,22 @@ def discrepancy(
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
     mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
-    scenes, stuck, clipped = [], [], []
+    scenes, stuck, clipped, outliers = [], [], [], []
     for scene in mended:
         within, limits = find_clipped(scene)
         free, standing = find_stuck(within)
-        scenes.append(free)
+        tame, wild = find_outliers(free)
+        scenes.append(tame)
         stuck += standing
         clipped += limits
+        outliers += wild
     tell(0.1, "listing what could explain")
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)
     search = Searcher(evidence, tell).run()
     tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, clipped)
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, clipped, outliers)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -120,6 +123,7 @@ def _report(
     mistakes: list[Mistake],
     stuck: list[Stuck],
     clipped: list[Clipped],
+    outliers: list[Outlier],
 ) -> Report:
     evidence = search.evidence
     held = HeldOut(evidence, search.fit)
@@ -154,6 +158,7 @@ def _report(
         "remaining": unexplained.document(),
         "reference": [_reference(a, search.fit) for a in search.of_kind(Kind.REFERENCE)],
         "rejected": rejected,
+        "outliers": [asdict(one) for one in outliers],
         "gap": {
             "whitened_rms": {"before": rms(search, slots, search.bare), "after": rms(search, slots, search.fit)},
             "heldout_rms": {"before": before, "after": after},
@@ -371,7 +376,7 @@ def _noise_document(search: Search) -> dict[str, Any]:
     for slot in search.evidence.slots:
         power, basis = search.fit.noise[slot].power, search.evidence.basis[slot]
         white = math.sqrt(float(np.median(power[len(power) // 2 :])) * basis.interval_s)
-        level = ("stated", "white", "flicker", "coloured")[search.fit.noise[slot].level]
+        level = ("stated", "white", "sway", "flicker", "coloured")[search.fit.noise[slot].level]
         document[f"{slot[0]}:{CHANNELS[slot[1]]}"] = {"white": white, "level": level}
     return document
 

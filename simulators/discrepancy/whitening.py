@@ -34,9 +34,9 @@ _WEIGHED = 200  # rounds
 ROUNDED_AT = (0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
-STATED, WHITE, FLICKER, WIDE = range(4)
-"""Levels of the noise family: as the model states, or in its proportions; white and quantisation free; flicker as well;
-all free."""
+STATED, WHITE, SWAY, FLICKER, WIDE = range(5)
+"""Levels of the noise family: as the model states, or in its proportions; white and quantisation free; the rate of a
+mount that sways as well; or flicker as well; all free."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,12 @@ class Basis:
         """Middle of each bin."""
         middle = 0.5 * (self.bounds[:-1] + self.bounds[1:] - 1)
         return np.asarray(middle / (2.0 * self.n * self.interval_s))
+
+    def terms(self, level: int) -> list[int]:
+        """Return the terms that a level of the family leaves free."""
+        sway = [place for place, name in enumerate(self.names) if name.startswith("sway")]
+        more = {SWAY: sway, FLICKER: [self.fast], WIDE: range(self.fast, len(self.names))}
+        return [*range(self.fast), *more.get(level, ())]
 
     def stated(self, noise: ChannelNoise, floor: float, moved: tuple[Array, Array] | None = None) -> Array:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
@@ -181,11 +187,11 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 12.0, 14.0)
+PENALTY = (0.0, 3.0, 7.0, 12.0, 14.0)
 """What each level costs [nats] where the model states its noise."""
-PENALTY_SHAPED = (0.0, 3.0, 9.0, 11.0)
+PENALTY_SHAPED = (0.0, 3.0, 6.0, 9.0, 11.0)
 """... where it states the proportions of its terms."""
-PENALTY_FREE = (math.inf, 0.0, 3.0, 6.0)
+PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 6.0)
 
 
 def fit_noise(
@@ -209,18 +215,15 @@ def fit_noise(
     shape = basis.shape if stated is None else None
     penalty = PENALTY if stated is not None else PENALTY_FREE if shape is None else PENALTY_SHAPED
     best: NoiseFit | None = None
-    start = np.full(basis.power.shape[1], 0.0)
     high = slice(len(rss) // 2, None)
-    start[0] = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor[high].max()) + 1e-300)
-    levels = [(WHITE, basis.fast), (FLICKER, basis.fast + 1), (WIDE, len(start))]
-    if shape is not None:
-        levels.insert(0, (STATED, basis.fast))
-    for level, terms in levels[: len(levels) if slow else 1]:
-        columns = basis.power
+    start = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor[high].max()) + 1e-300)
+    first = STATED if shape is not None else WHITE
+    for level in range(first, WIDE + 1 if slow else first + 1):
+        terms = basis.terms(level)
+        columns = np.ascontiguousarray(basis.power[:, terms])
         if level == STATED and shape is not None:
-            columns = np.column_stack([shape, basis.power[:, 1:]])
-        variances = np.zeros(len(start))
-        variances[:terms] = start[0] / np.maximum(np.median(columns[:, :terms], axis=0), 1e-300)
+            columns = np.column_stack([shape, columns[:, 1:]])
+        variances = start / np.maximum(np.median(columns, axis=0), 1e-300)
         variances[1:] *= 0.1
         _climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
         power = floor + columns @ variances

@@ -11,6 +11,8 @@ _FACES = {
     "rad/s/(m/s^2)": (206264.80624709636 * 9.80665, "deg/h/g"),
 }
 
+_LISTED = 3  # outliers
+
 
 def in_words(document: dict[str, Any]) -> str:
     """Return what a report's document says, in plain words."""
@@ -23,6 +25,10 @@ def in_words(document: dict[str, Any]) -> str:
     sentences += _unnamed(document["remaining"]["empirical"])
     for term in document["remaining"]["misfits"]:
         sentences.append(f"The {term['of'].replace('_', ' ')} fits to a few per cent only ({term['term']} is left).")
+    if outliers := document["outliers"]:
+        at = ", ".join(f"{one['channel']} at {one['time_s']:.2f} s" for one in outliers[:_LISTED])
+        more = f" and {len(outliers) - _LISTED} more" if len(outliers) > _LISTED else ""
+        sentences.append(f"Single wild samples were taken out: {at}{more}.")
     for reference in document["reference"]:
         sentences.append(f"The reference is off: {reference['text']}; this is not laid to the block.")
     gap = document["gap"]["heldout_rms"]

@@ -1,0 +1,71 @@
+"""Single wild samples (outliers), far beyond what even heavy-tailed noise does: taken out, and said.
+
+A step that begins with one sample and ends with the next would explain such a one, and so would half of the library.
+Where the motion changes from sample to sample, a wild one may be the reference's own error, and stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene
+
+Array = NDArray[np.float64]
+
+_WILD = 15.0  # σ of the noise beyond which a sample is wild
+_TAME = 5.0  # ... within which those beside it are
+_STEPS = 3.0  # of the readout, as well
+_MOST = 1e-3  # of all samples: what comes more often belongs to the block
+_EDGE_S = 0.3  # about the ends of a turn
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One sample of a sensor, ``sigmas`` of its noise off the median of those about it."""
+
+    channel: str
+    time_s: float
+    sigmas: float
+
+
+def find_outliers(scene: Scene) -> tuple[Scene, list[Outlier]]:
+    """Return the scene with its wild samples marked missing, and which they were."""
+    missing, found = scene.data.missing.copy(), []
+    changing = _changing(scene)
+    for column, channel in enumerate(CHANNELS):
+        wild, sigmas = _wild(scene, column)
+        wild &= ~(missing[:, column] | changing | (scene.shaking() if column < 3 else False))
+        if not 0 < wild.sum() <= _MOST * wild.size:
+            continue
+        missing[wild, column] = True
+        found += [Outlier(channel, float(scene.time_s[place]), float(sigmas[place])) for place in np.flatnonzero(wild)]
+    return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
+
+
+def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array]:
+    """Return which samples (n,) stand alone, and how far off each is [σ]."""
+    off = scene.measured[:, column] - scene.predicted[:, column]
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(off, 2, mode="edge"), 5)
+    off = off - np.median(beside, axis=1)
+    noise = getattr(scene.model.noise, CHANNELS[column])
+    spread = float(np.median(np.abs(off - np.median(off)))) * 1.4826
+    sigma = max(float(scene.noise_sigma[column]), spread)
+    size = np.abs(off) - _STEPS * noise.quantisation / scene.seen.interval_s
+    around = np.maximum(np.roll(size, 1), np.roll(size, -1))
+    if not 0.0 < sigma < math.inf:
+        return np.zeros(off.size, dtype=np.bool_), off
+    return (size > _WILD * sigma) & (around < _TAME * sigma), off / sigma
+
+
+def _changing(scene: Scene) -> NDArray[np.bool_]:
+    """Return where a turn begins or ends (n,)."""
+    near = np.zeros(len(scene.time_s), dtype=np.bool_)
+    for _, turn in scene.turns():
+        for end_s in (turn.start_s, turn.end_s):
+            near |= np.abs(scene.time_s - end_s) < _EDGE_S
+    return near
