@@ -34,11 +34,12 @@ SAME = 0.1
 """... and within so many are one column to these recordings: what lies between them is rounding."""
 MOST_FINDINGS = 8
 _LEADERS = 12
-_REFINED = 7
+_REFINED = 12
 _SHARPENED = 3
 _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
+_STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
@@ -102,6 +103,8 @@ class Searcher:
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
         bare = self.evidence.fit([])
+        if self.evidence.restate(bare.rss):
+            bare = self.evidence.fit([])
         adopted: list[Hypothesis] = []
         current = bare
         while len(adopted) < MOST_FINDINGS:
@@ -328,7 +331,7 @@ class Searcher:
         relative = name in ("time_constant", "half_width", "limit")
         width = _WIDTH[name]
         if name == "time":
-            width = 0.6 * self.library.scenes[0].seen.interval_s
+            width = _NEARBY * self.library.scenes[0].interval_s
         best, value = hypothesis, self._gain(hypothesis, look)
         places = hypothesis.places
         if name in USUAL and is_usual(hypothesis.shape):
@@ -369,15 +372,18 @@ class Searcher:
         return hypothesis
 
     def _late(self, current: Fit, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
-        """Return steps and lines where the whitened residual has them, one or two a channel."""
+        """Return steps and lines where the whitened residual has them, a few a channel.
+
+        Which of the steps is the best hangs on what the reference leaves open, which the residual alone does not say.
+        """
         late: list[Hypothesis | None] = []
         for model in (noise, current.noise):
             for slot in self.evidence.slots:
                 basis, power = self.evidence.basis[slot], model[slot].power
                 score = self._score_left(slot, current, power)
-                first, gain = self.evidence.steps(slot).best(score, power)
-                if gain > _STEP_NATS:
-                    late.append(self.step_trial(slot, first))
+                for first, gain in self.evidence.steps(slot).several(score, power, _STEPS_TRIED):
+                    if gain > _STEP_NATS:
+                        late.append(self.step_trial(slot, first))
                 hertz, gain = best_line(score, power, basis)
                 if gain > math.log(basis.n) + _LINE_NATS:
                     late.append(self.line_trial(slot, hertz))
@@ -468,7 +474,8 @@ def _silent(share: float, text: str) -> None:
 
 
 _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
-_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 4}
+_NEARBY = 10.0  # samples that a step may be off at first
+_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9}
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 _TRIALS = 20  # places at which the power of a step is worked out; between them it is smooth
 _EDGE = 0.01  # of the record at either end, where a step says nothing
+_APART = 0.04  # of the record by which two steps are other ones
 _FEWEST_CYCLES = 2.0
 _BLOCKS = 1000  # among which levels are told apart
 
@@ -42,13 +43,21 @@ class Steps:
 
     def best(self, score: Array, power: Array) -> tuple[int, float]:
         """Return the first sample of the step that explains most, and what it gains [nats]."""
+        return self.several(score, power, 1)[0]
+
+    def several(self, score: Array, power: Array, count: int) -> list[tuple[int, float]]:
+        """Return so many steps, as :meth:`best` does, no two of them near each other, best first."""
         n = len(score)
         where = np.arange(n)
         sizes = np.interp(where, self._places, self._powers @ (1.0 / power))
         gain = 0.5 * np.cumsum(score[::-1])[::-1] ** 2 / sizes
         gain[(where < _EDGE * n) | (where > (1.0 - _EDGE) * n)] = 0.0
-        best = int(np.argmax(gain))
-        return best, float(gain[best])
+        found = []
+        for _ in range(count):
+            best = int(np.argmax(gain))
+            found.append((best, float(gain[best])))
+            gain[np.abs(where - best) < _APART * n] = 0.0
+        return found
 
 
 def levels(left: Array, power: Array, basis: Basis, spread: Array, cost: float) -> list[int]:

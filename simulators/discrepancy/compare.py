@@ -37,6 +37,7 @@ MEDIAN_OF_SQUARES = 0.4549
 _ROUNDS = 3
 _WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white
 _FAR_OFF = 2.0  # by which noise must be larger than stated to be taken for other
+_STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
 
@@ -76,6 +77,22 @@ class Scene:
             return filled
         whole = len(filled) // self.group * self.group
         return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
+
+    def motion(self, column: int) -> Array:
+        """Return the mean motion of a channel (n,) [y], as analysed.
+
+        Its course is by the prediction; its level, which a bias shifts and a table's error in each turn, by the
+        measurement.
+        """
+        predicted = self.analysed(self.predicted[:, column], column)
+        off = self.analysed(self.measured[:, column], column) - predicted
+        time_s = self.time_s[self.group - 1 :: self.group][: len(off)]
+        ends_s = [end_s for _, turn in self.turns() for end_s in (turn.start_s, turn.end_s)]
+        cuts = {0, len(off), *np.searchsorted(time_s, ends_s).tolist(), *(np.searchsorted(time_s, ends_s) + 1).tolist()}
+        cuts |= set(range(0, len(off), max(1, len(off) // _STRETCHES)))
+        edges = np.array(sorted(cut for cut in cuts if cut <= len(off)))
+        level = np.add.reduceat(off, edges[:-1]) / np.diff(edges)
+        return np.asarray(predicted + np.repeat(level, np.diff(edges)))
 
     def vibrations(self) -> list[tuple[NDArray[np.bool_], Array]]:
         """Return where each vibration goes on (n,), and its axis (3,), body, of length one."""

@@ -159,10 +159,10 @@ class Evidence:
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
         share = FREE_SHARE**2 if scene.model.noise.free else 1.0
         self.floor[slot] = basis.stated(noise.__class__(), lsb) + share * basis.stated(slow, 0.0)
-        measured, predicted = (scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted))
-        stated = basis.stated(noise, lsb, (measured, predicted)) if declared else None
+        moved = scene.motion(slot[1])
+        stated = basis.stated(noise, lsb, moved) if declared else None
         if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
-            basis = basis.rounded(noise, (measured, predicted))
+            basis = basis.rounded(noise, moved)
             if stated is not None:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))

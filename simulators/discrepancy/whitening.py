@@ -25,8 +25,7 @@ _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
 _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
-_STRETCHES = 128  # over which the difference to the prediction is taken to be constant
-_MOMENTS = 4  # of each at which the motion is looked at
+_MOMENTS = 512  # at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
 FREE_SHARE = 0.5
 """Of noise of which a model knows the size about: so much is there at least."""
@@ -68,15 +67,15 @@ class Basis:
         more = {SWAY: sway, FLICKER: [self.fast], WIDE: range(self.fast, len(self.names))}
         return [*range(self.fast), *more.get(level, ())]
 
-    def stated(self, noise: ChannelNoise, floor: float, moved: tuple[Array, Array] | None = None) -> Array:
+    def stated(self, noise: ChannelNoise, floor: float, moved: Array | None = None) -> Array:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
 
-        ``moved``: what is measured and what is predicted (n,) [y]. With it, the rounding of an integral that moves by
-        less than a step at random between samples is not white (:mod:`inertial.rounding`).
+        ``moved``: the mean motion (n,) [y]. With it, the rounding of an integral that moves by less than a step at
+        random between samples is not white (:mod:`inertial.rounding`).
         """
         x = self._x()
         tau = self.interval_s
-        rounding = 1.0 if moved is None or not noise.quantisation else self._rounding(noise, *moved)
+        rounding = 1.0 if moved is None or not noise.quantisation else self._rounding(noise, moved)
         flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency() * tau)
         return np.asarray(
             noise.white**2 / tau
@@ -85,7 +84,7 @@ class Basis:
             + noise.random_walk**2 * tau * (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / (4.0 * np.sin(x) ** 2)
         )
 
-    def rounded(self, noise: ChannelNoise, moved: tuple[Array, Array]) -> Basis:
+    def rounded(self, noise: ChannelNoise, moved: Array) -> Basis:
         """Return the basis for a readout in steps, as :meth:`stated` takes it, of which the model knows the size about.
 
         Its rounding errors are white or not as the white noise is half to twice what the model says.
@@ -94,7 +93,7 @@ class Basis:
         names, columns = [], []
         for share in ROUNDED_AT:
             jolted = noise.model_copy(update={"white": share * noise.white})
-            columns.append(white_rounding * self._rounding(jolted, *moved))
+            columns.append(white_rounding * self._rounding(jolted, moved))
             names.append(f"rounding at {share:g} of the white noise")
         power = np.column_stack([self.power[:, : self.fast], *columns, self.power[:, self.fast :]])
         names = [*self.names[: self.fast], *names, *self.names[self.fast :]]
@@ -116,15 +115,10 @@ class Basis:
             weights /= weights.sum()
         return np.asarray(others + columns @ weights)
 
-    def _rounding(self, noise: ChannelNoise, measured: Array, predicted: Array) -> Array:
+    def _rounding(self, noise: ChannelNoise, moved: Array) -> Array:
         """Return the power of the rounding error (b,) over that of white rounding errors, step²/12."""
         step, tau = noise.quantisation, self.interval_s
-        # the motion's course by the prediction, its level, which a bias shifts, by the measurement
-        length = self.n // _STRETCHES
-        course, level = (
-            v[: length * _STRETCHES].reshape(_STRETCHES, length) for v in (predicted, measured - predicted)
-        )
-        moved = (course[:, :: max(1, length // _MOMENTS)] + level.mean(axis=1)[:, None]).ravel()
+        moved = moved[:: max(1, self.n // _MOMENTS)]
         edges = self.bounds * math.pi / self.n
         omega = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
         variance = noise.white**2 * tau / step**2
@@ -189,7 +183,7 @@ class NoiseFit:
 
 PENALTY = (0.0, 3.0, 7.0, 12.0, 14.0)
 """What each level costs [nats] where the model states its noise."""
-PENALTY_SHAPED = (0.0, 3.0, 6.0, 9.0, 11.0)
+PENALTY_SHAPED = (0.0, 3.0, 7.0, 11.0, 13.0)
 """... where it states the proportions of its terms."""
 PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 6.0)
 

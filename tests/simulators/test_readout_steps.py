@@ -46,7 +46,7 @@ def test_power_of_rounding_errors_is_that_of_simulated_ones(noise_steps: float, 
         read = in_steps(rates * INTERVAL_S, INTERVAL_S) / INTERVAL_S
         power = dct(read - read.mean(), norm="ortho") ** 2
         found += np.add.reduceat(power, basis.bounds[:-1]) / basis.counts / RECORDS
-        said += basis.stated(noise, 0.0, (read, np.full(COUNT, rate_steps))) / RECORDS
+        said += basis.stated(noise, 0.0, np.full(COUNT, rate_steps)) / RECORDS
     high = basis.frequency_hz > 1.0
     off = (found / said - 1.0)[high] * np.sqrt(0.5 * RECORDS * basis.counts[high])
     assert np.mean(off**2) < 4.0  # 1 by χ²; twice the σ for what the bins average over
@@ -174,8 +174,8 @@ def test_frames_lost_from_a_coarse_readout_leave_no_larger_noise() -> None:
 def test_rounding_of_a_channel_that_says_nothing_is_as_stated(white: float) -> None:
     """A residual of zeros, and noise of none, leave every power a number."""
     noise, steady = ChannelNoise(white=white, quantisation=5e-7), np.full(4096, 4e-5)
-    basis = cosine_basis(4096, INTERVAL_S).rounded(noise, (steady, steady))
-    stated = basis.stated(noise, 1e-12, (steady, steady))
+    basis = cosine_basis(4096, INTERVAL_S).rounded(noise, steady)
+    stated = basis.stated(noise, 1e-12, steady)
     for rss in (np.zeros_like(stated), stated * basis.counts):
         assert np.all(np.isfinite(basis.likeliest(stated, noise, rss)))
 
@@ -195,4 +195,21 @@ def test_rounding_errors_that_come_in_swarms_are_nothing_to_find(steps: float) -
         samples = case.samples.copy()
         samples["dtheta"] = in_steps(samples["dtheta"] - bias / RATE_HZ, step)
         report = discrepancy([replace(case, samples=samples)], believed)
+        assert report.verdict == "none", (seed, report.document["text"])
+
+
+def test_lines_of_rounding_lie_where_the_table_really_turned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An angle error of a tenth of a degree moves them anywhere in the band, and is none of the block's."""
+    nominal, off = closed_form.TURNS, np.random.default_rng(110).normal(0.0, 0.1, len(closed_form.TURNS))
+    turned = [(a, b, r + error / (b - a), axis) for (a, b, r, axis), error in zip(nominal, off, strict=True)]
+    monkeypatch.setattr(closed_form, "TURNS", tuple(turned))
+    for seed in range(3):
+        case = recording(None, 110 + seed)
+        samples, meta = case.samples.copy(), case.meta.model_dump(exclude_none=True)
+        step = 10.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
+        samples["dtheta"] = in_steps(samples["dtheta"], step)
+        for motion, (_, _, rate_dps, _) in zip(meta["motion"], nominal, strict=True):
+            motion |= {"rate_dps": rate_dps, "angle_sigma_deg": 0.1}
+        stated = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+        report = discrepancy([stated], model_in_steps(step))
         assert report.verdict == "none", (seed, report.document["text"])
