@@ -107,7 +107,7 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float, 
     for run, jolt in enumerate(_jolts(shaken, first, last)):
         if jolt > white:
             longest[run] = min(longest[run], max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN))
-    candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment[first], said, first, last, step)
+    candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment, said, first, last, step)
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
     at_zero = candidate & (increment[first] == 0.0)
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
@@ -126,12 +126,13 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float, 
 
 
 def _at_limit(
-    readings: Array, said: Array, first: NDArray[np.int64], last: NDArray[np.int64], step: float
+    increment: Array, said: Array, first: NDArray[np.int64], last: NDArray[np.int64], step: float
 ) -> NDArray[np.bool_]:
     """Return which runs are of the largest reading there is, while the input is said to be larger still: at a limit."""
     sums = np.concatenate([[0.0], np.cumsum(said)])
     inputs = (sums[last + 1] - sums[first]) / (last + 1 - first)
-    largest = np.abs(readings) > float(np.abs(readings).max(initial=0.0)) - 1.5 * step
+    readings = increment[first]
+    largest = np.abs(readings) > float(np.abs(increment).max()) - 1.5 * step
     return np.asarray(largest & (np.sign(readings) * inputs > np.abs(readings) + step))
 
 
