@@ -15,6 +15,7 @@ from service.api.gate import is_loopback
 from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
 from service.logs import configure_logs
+from service.native_memory import give_back
 from service.security.tokens import Tokens
 from service.store import StoreError
 from service.watchdog import Notifier
@@ -34,6 +35,7 @@ def run_service(settings: Settings) -> None:
         What is configured cannot be used.
     """
     configure_logs(settings.log)
+    give_back()
     check_files(settings)
     notifier = Notifier()
     listening = _listen(settings.http)
