@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import idct
 
 from inertial.documents import CHANNELS
 from inertial.rounding import largest_line
@@ -21,7 +22,7 @@ from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.whitening import FREE_SHARE, ROUNDED_AT, STATED, NoiseFit, freely_rounded_hz
+from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit, freely_rounded_hz
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -41,6 +42,7 @@ _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
 _STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
+_FELT = 0.5  # σ of a sample by which the reference's errors must move the input to be felt by a readout
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
@@ -105,15 +107,12 @@ class Searcher:
         bare = self.evidence.fit([])
         if self.evidence.restate(bare.rss):
             bare = self.evidence.fit([])
+        self._correct(bare)
         adopted: list[Hypothesis] = []
         current = bare
         while len(adopted) < MOST_FINDINGS:
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
-            best = self._next(current, adopted)
-            if best is None:
-                new, current = self._together(adopted, current) or self._swallowed(adopted, current)
-            else:
-                new, current = [best.hypothesis], best.fit
+            new, current = self._new(current, adopted)
             if not new:
                 break
             adopted, current = self._polish(*self._settle([*adopted, *new], current, adopted))
@@ -122,7 +121,28 @@ class Searcher:
         adopted, current = self._settle(adopted, current, adopted)
         return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
 
+    def _correct(self, bare: Fit) -> None:
+        """Let readout effects act on the input with the reference's own errors in it, where these are to be felt."""
+        for slot in self.evidence.slots:
+            scene = self.library.scenes[slot[0]]
+            if scene.group > 1:
+                continue
+            off = self.library.residual[slot] - self.library.left(slot, bare.ids, bare.amplitude)
+            change = idct(off, norm="ortho") * self.library.spread[slot]
+            if np.max(np.abs(change)) > _FELT * scene.noise_sigma[slot[1]]:
+                self.library.correct(slot, np.asarray(change))
+
     # one step ----------------------------------------------------------------------------------------------------
+
+    def _new(self, current: Fit, adopted: Sequence[Hypothesis]) -> tuple[list[Hypothesis], Fit]:
+        """Return what to adopt next, a hypothesis, a pair of names or what noise has swallowed, and the fit with it."""
+        best = self._next(current, adopted)
+        if best is not None and best.hypothesis.kind is not Kind.EMPIRICAL:
+            return [best.hypothesis], best.fit
+        pair = self._together(adopted, current)
+        if pair is not None and (best is None or pair[0] > best.score - TIE):
+            return pair[1:]
+        return ([best.hypothesis], best.fit) if best is not None else self._swallowed(adopted, current)
 
     def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
         scored = self.rank(current, adopted)
@@ -144,8 +164,8 @@ class Searcher:
             return curve
         return best if best is not None and best.score > MARGIN else None
 
-    def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit] | None:
-        """Return two names that only together explain what a wide noise model takes for noise, and the fit with them.
+    def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[float, list[Hypothesis], Fit] | None:
+        """Return two names that only together explain what a wide noise model takes for noise: score, names, fit.
 
         Each alone leaves so much that the noise stays wide, in which it has gained next to nothing.
         """
@@ -164,7 +184,7 @@ class Searcher:
                 score = bayes_factor(fit.value - current.value, count, places)
                 if score > max(MARGIN, best[0] if best else 0.0):
                     best = score, pair, fit
-        return None if best is None else best[1:]
+        return best
 
     def _timed(self, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
         """Return a step at its best time beside others in quiet noise; any other name as it is."""
@@ -198,7 +218,7 @@ class Searcher:
 
         That something is there is certain by then, so that the name needs no more evidence than to stay.
         """
-        for one in find_sparse(self.evidence, current):
+        for one in (found for found in find_sparse(self.evidence, current) if not found.sweep_hz):
             named = [s for s in self.rank(current, adopted) if s.hypothesis.kind is Kind.NAMED]
             named = [s for s in named if one.slot in self.evidence.touched(s.hypothesis.columns)]
             if named and named[0].score > 0.5 * MARGIN:
@@ -262,9 +282,9 @@ class Searcher:
             return False
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         angle = size * scene.interval_s / (2.0 * math.sin(math.pi * hertz * scene.interval_s))
-        least = ROUNDED_AT[0] * (FREE_SHARE if scene.model.noise.free else 1.0)
-        jolt = least * noise.white * math.sqrt(scene.interval_s) / noise.quantisation
         samples = len(scene.time_s) // scene.group
+        white = float(scene.noise_sigma[CHANNELS.index(h.channel)]) * math.sqrt(scene.seen.interval_s)
+        jolt = ROUNDED_AT[0] * white * math.sqrt(scene.interval_s) / noise.quantisation
         return bool(angle < noise.quantisation * largest_line(jolt, samples))
 
     def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[tuple[float, Hypothesis]]:
@@ -273,7 +293,7 @@ class Searcher:
         quiet = self.quiet(current)
         late = self._late(current, quiet)
         pool = [h for h in self.library.hypotheses if h.name not in taken and max(h.columns) < self.evidence.base]
-        pool += late
+        pool += [h for h in self.library.corrected if h.name not in taken] + late
         picked: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
         for noise in (current.noise, quiet):
             look = Look(self.evidence, current, noise)

@@ -18,6 +18,8 @@ _TRIALS = 20  # places at which the power of a step is worked out; between them 
 _EDGE = 0.01  # of the record at either end, where a step says nothing
 _APART = 0.04  # of the record by which two steps are other ones
 _FEWEST_CYCLES = 2.0
+_SWEPT_HZ = 5.0  # within which lines that sweep are looked for
+_RATE_STEP = 1.0  # cycles over a record by which two sweeps differ
 _BLOCKS = 1000  # among which levels are told apart
 
 
@@ -118,6 +120,30 @@ def best_line(score: Array, power: Array, basis: Basis) -> tuple[float, float]:
         centre = trials[int(np.argmax([_size_at(score, 2.0 * math.pi * f * interval_s) for f in trials]))]
         step *= 0.5
     return centre, float(gain[best])
+
+
+def best_sweep(score: Array, basis: Basis) -> tuple[float, float, int]:
+    """Return where the line that sweeps evenly and explains most begins and ends [Hz], and how many rates were tried.
+
+    Turned back by the phase that a rate of sweep adds, such a line stands still: then it is one of a spectrum.
+    """
+    length_s = basis.n * basis.interval_s
+    size = max(1, int(0.25 / (_SWEPT_HZ * basis.interval_s)))
+    count = len(score) // size
+    sums = score[: count * size].reshape(count, size).sum(axis=1)
+    time_s = (np.arange(count) + 0.5) * size * basis.interval_s
+    highest_hz = min(_SWEPT_HZ, 0.25 / (size * basis.interval_s))
+    rates = np.arange(0.0, highest_hz * length_s, _RATE_STEP) / length_s**2
+    frequency_hz = np.fft.fftfreq(2 * count, size * basis.interval_s)
+    best, found = 0.0, (0.0, 0.0)
+    for rate in (*rates, *-rates[1:]):
+        spectrum = np.abs(np.fft.fft(sums * np.exp(-1j * math.pi * rate * time_s**2), 2 * count))
+        ends = frequency_hz, frequency_hz + rate * length_s
+        within = (np.minimum(*ends) > _FEWEST_CYCLES / length_s) & (np.maximum(*ends) < highest_hz)
+        place = int(np.argmax(np.where(within, spectrum, 0.0)))
+        if within[place] and spectrum[place] > best:
+            best, found = float(spectrum[place]), (float(ends[0][place]), float(ends[1][place]))
+    return *found, 2 * len(rates)
 
 
 @compiled

@@ -18,7 +18,7 @@ from scipy.fft import dct
 
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene, mean_changed
+from simulators.discrepancy.compare import Scene, mean_changed, parameter_change
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.unsteady import level_spread
 from simulators.effects import effects, get_effect
@@ -137,10 +137,13 @@ class Library:
         """Whether all is gathered: what comes after are trials, which are not kept."""
         self.columns: list[Column] = []
         self.hypotheses: list[Hypothesis] = []
+        self.corrected: list[Hypothesis] = []
+        """Those of :meth:`correct`."""
         self.nuisance: list[tuple[int, float]] = []
         """Columns that are always in the fit, with their prior σ."""
         for effect in effects().values():
             self._add_effect(effect)
+        self._add_model()
         for index in range(len(scenes)):
             turns = self._turn_columns(index)
             self._add_nuisance(index, turns)
@@ -209,6 +212,24 @@ class Library:
         if not self.closed:
             self.hypotheses.append(hypothesis)
         return hypothesis
+
+    def correct(self, slot: Slot, change: Array) -> None:
+        """Take what acts on a channel's readout to be off the prediction by ``change`` (n,) [y].
+
+        Its dead bands and limits are then other hypotheses, later than the library's own.
+        """
+        s, column = slot
+        scene, channel = self.scenes[s], CHANNELS[column]
+        corrected = scene.predicted.copy() if scene.corrected is None else scene.corrected.copy()
+        corrected[:, column] = scene.predicted[:, column] + change
+        self.scenes = [*self.scenes[:s], replace(scene, corrected=corrected), *self.scenes[s + 1 :]]
+        for effect in effects().values():
+            if isinstance(effect, SampleEffect) and channel in self._wanted(effect):
+                self.hypotheses = [h for h in self.hypotheses if h.name != (effect.name, channel)]
+                self.corrected = [h for h in self.corrected if h.name != (effect.name, channel)]
+                shapes = self.shapes(effect, channel)
+                trials = [self.trial(effect.name, channel, shape, float(len(shapes))) for shape in shapes]
+                self.corrected += [trial for trial in trials if trial is not None]
 
     def forget(self, hypothesis: Hypothesis) -> None:
         """Let go of the columns of a trial that came to nothing."""
@@ -310,7 +331,7 @@ class Library:
         change.
         """
         column = CHANNELS.index(channel)
-        inputs, weight = _thinned(np.concatenate([np.abs(s.predicted[:, column]) for s in self.scenes]))
+        inputs, weight = _thinned(np.concatenate([np.abs(s.acting(column)) for s in self.scenes]))
         sigma = max(float(s.noise_sigma[column]) for s in self.scenes)
         if not 0.0 < sigma < math.inf:
             return []
@@ -381,6 +402,15 @@ class Library:
             ids = tuple(i for part in parts for i in groups[part] if i is not None)
             if ids:
                 self.hypotheses.append(Hypothesis(Kind.REFERENCE, name, where, ids))
+
+    def _add_model(self) -> None:
+        """What the model itself is unsure of, its effects' parameters, by their own σ; the same in all recordings."""
+        for entry in self.scenes[0].model.effects:
+            for name in (name for name, parameter in entry.parameters.items() if parameter.sigma):
+                changes = [parameter_change(scene, entry, name) for scene in self.scenes]
+                raw = [((s, c), change[:, c]) for s, change in enumerate(changes) for c in range(6)]
+                if (column := self.add_column(raw)) is not None:
+                    self.nuisance.append((column, 1.0))
 
     def _add_nuisance(self, index: int, turns: Sequence[_TurnColumns]) -> None:
         """What the reference itself is unsure of, by its own σ; what it does not give is free."""

@@ -47,7 +47,8 @@ class Scene:
 
     ``setup`` is what is believed; ``seen`` the circumstances by that belief; ``predicted``, ``measured`` (n, 6) [y];
     ``shaken`` (n, 3) the vibration
-    [m/s²]; ``group`` how many samples are averaged to one before analysis.
+    [m/s²]; ``group`` how many samples are averaged to one before analysis; ``corrected`` (n, 6) [y] what errors of the
+    reference make of the prediction, as far as they have been found.
     """
 
     recording: Recording
@@ -59,6 +60,11 @@ class Scene:
     shaken: Array
     model: BlockModel
     group: int
+    corrected: Array | None = None
+
+    def acting(self, column: int) -> Array:
+        """Return what acts on a channel's readout (n,) [y]: a dead band is met when the table really comes to it."""
+        return (self.predicted if self.corrected is None else self.corrected)[:, column]
 
     @property
     def time_s(self) -> Array:
@@ -285,6 +291,20 @@ def _readings(model: BlockModel, seen: Circumstances) -> Array:
     return np.hstack([readings.dv, readings.dtheta]) / seen.interval_s
 
 
+def parameter_change(scene: Scene, entry: EffectEntry, name: str) -> Array:
+    """Return what 1σ more of one parameter of an effect of the model makes of the prediction, less it (n, 6)."""
+    effect, parameter = get_effect(entry.effect), entry.parameters[name]
+    more = parameter.model_copy(update={"value": parameter.value + (parameter.sigma or 0.0)})
+    changed = entry.model_copy(update={"parameters": {**entry.parameters, name: more}})
+    if effect.stage is Stage.SETUP:  # set-ups add up
+        before, after = values_of(effect, entry), values_of(effect, changed)
+        unsure = {key for key, one in entry.parameters.items() if one.sigma}
+        values = {key: after[key] - before[key] if key in unsure else value for key, value in before.items()}
+        return scene.predict(effect.arrange(scene.setup, Occasion(entry.channel, values, 1.0))) - scene.predicted
+    effects = [changed if one is entry else one for one in scene.model.effects]
+    return _readings(scene.model.model_copy(update={"effects": effects}), scene.seen) - scene.predicted
+
+
 def _apply(entry: EffectEntry, seen: Circumstances, readings: Readings) -> None:
     effect = get_effect(entry.effect)
     random_or_lost = effect.stage in (Stage.SETUP, Stage.NOISE) or entry.effect in RANDOM
@@ -299,4 +319,4 @@ RANDOM = frozenset({"quantisation", "lost_samples", "stuck_samples"})
 def mean_changed(scene: Scene, effect: SampleEffect, channel: str, values: Mapping[str, float]) -> Array:
     """Return what an effect of readout makes of a channel's readings in the mean over their noise, less them (n,)."""
     column = CHANNELS.index(channel)
-    return effect.mean_change(scene.predicted[:, column], scene.noise_sigma[column], values)
+    return effect.mean_change(scene.acting(column), scene.noise_sigma[column], values)

@@ -32,6 +32,9 @@ SEEN = 50.0
 _PLACES = 24.0
 _OF_SAMPLES = ("random_walk", "quantisation")  # whose size is that of single samples
 _LEVEL_SIGMAS = 3.0
+_MOST = 2  # terms of a channel
+_OF_TOTAL = 0.02  # of what they gain, which they may leave to noise of another colour
+_LOWER, _ODD = 0.9, 1.3  # of the power with named terms: noise that is less, and bins that have more
 
 
 @dataclass(frozen=True)
@@ -82,20 +85,33 @@ def _of_channel(
         power[slot] = ease(stated, free.power, evidence.eased[slot])
     scatter = max(evidence.scatter(slot) for slot in slots)
     tails = max(scatter, *(_tails(evidence, fit, slot) for slot in slots))
+    found, power = _named(evidence, fit, power, tails, margin)
+    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
+    total = sum(f.gain for f in found)
+    lower = all(np.median(fit.noise[slot].power / power[slot]) < _LOWER for slot in slots)
+    if gained / scatter < OTHER_COLOUR + _OF_TOTAL * total or lower:
+        return found, []
+    return [], [OtherNoise(channel, gained + total, _band_hz(evidence, fit, slots[0], power[slots[0]]))]
+
+
+def _named(
+    evidence: Evidence, fit: Fit, power: dict[Slot, Array], tails: float, margin: float
+) -> tuple[list[NoiseFinding], dict[Slot, Array]]:
+    """Return the terms, two at most, that a channel has more of, and its power with them."""
     found: list[NoiseFinding] = []
-    value = _total(evidence, fit, power)
-    steps = [step for slot in slots if (step := coarser(evidence.library.scenes[slot[0]], slot[1])) is not None]
+    steps = [step for slot in power if (step := coarser(evidence.library.scenes[slot[0]], slot[1])) is not None]
     as_stated = any(abs(step - 1.0) <= AS_STATED for step in steps)
     if steps and min(steps) > 1.0 + AS_STATED:
         coarse, power = _coarse(evidence, fit, power, min(steps))
-        found, value = [coarse], value + coarse.gain
-    while len(found) < 2:
+        found = [coarse]
+    channel, value = next(CHANNELS[slot[1]] for slot in power), _total(evidence, fit, power)
+    while len(found) < _MOST:
         trials = []
         for effect, (_, unit) in TERMS.items():
             if effect in [f.effect for f in found] or (effect == "quantisation" and as_stated):
                 continue
             variance = _best(evidence, fit, power, unit)
-            changed = {s: power[s] + variance * evidence.basis[s].stated(unit, 0.0) for s in slots}
+            changed = {slot: now + variance * evidence.basis[slot].stated(unit, 0.0) for slot, now in power.items()}
             gain = _total(evidence, fit, changed) - value
             certain = gain / tails if effect in _OF_SAMPLES else gain
             trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variance, changed))
@@ -109,18 +125,14 @@ def _of_channel(
         sigma *= math.sqrt(tails) if effect in _OF_SAMPLES else 1.0
         found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
         power, value = changed, value + gain
-    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
-    total = sum(f.gain for f in found)
-    if gained / scatter > OTHER_COLOUR + 0.02 * total:
-        lower = all(np.median(fit.noise[slot].power / power[slot]) < 0.9 for slot in slots)
-        if not lower:
-            slot = slots[0]
-            ratio = fit.rss[slot] / evidence.basis[slot].counts / power[slot]
-            frequency = evidence.basis[slot].frequency_hz
-            odd = frequency[ratio > 1.3]
-            band = (float(odd.min()), float(odd.max())) if odd.size else (0.0, float(frequency[-1]))
-            return [], [OtherNoise(channel, gained + total, band)]
-    return found, []
+    return found, power
+
+
+def _band_hz(evidence: Evidence, fit: Fit, slot: Slot, power: Array) -> tuple[float, float]:
+    """Return where a slot's noise is larger than named terms make it; the whole band if nowhere by much."""
+    frequency = evidence.basis[slot].frequency_hz
+    odd = frequency[fit.rss[slot] / evidence.basis[slot].counts / power > _ODD]
+    return (float(odd.min()), float(odd.max())) if odd.size else (0.0, float(frequency[-1]))
 
 
 def _coarse(

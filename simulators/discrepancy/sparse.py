@@ -2,19 +2,20 @@
 
 Noise of any colour takes whatever is there into its spectrum, a jump as well as a wave. But it spends evidence on every
 coefficient, and a structure that is simple spends it on a few: so what is left is described over again, in the noise
-in which nothing slow is random, by steps and lines taken one by one, each charged for the places it could have been.
+in which nothing slow is random, by steps and lines taken one by one, or by one line that sweeps, each charged for the
+places it could have been.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.atoms import best_line, levels, score_of
+from simulators.discrepancy.atoms import best_line, best_sweep, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.whitening import STATED, NoiseFit
@@ -31,24 +32,28 @@ _STEP_COST, _LINE_COST = 2.0, 4.0  # of amplitudes, beyond ln of the number of p
 
 @dataclass(frozen=True)
 class Sparse:
-    """Steps before these samples as analysed, and lines [Hz], that explain a slot better than noise, by ``nats``."""
+    """Steps before these samples as analysed, and lines [Hz], that explain a slot better than noise, by ``nats``.
+
+    ``sweep_hz``: where a line that sweeps evenly begins and ends.
+    """
 
     slot: Slot
     steps: tuple[int, ...]
     lines_hz: tuple[float, ...]
     nats: float
+    sweep_hz: tuple[float, ...] = ()
 
 
 def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
     """Return the slots whose noise, other than stated, is better taken for a few steps and lines."""
     slots = [slot for slot in evidence.slots if fit.noise[slot].level != STATED]
     found = [_of_slot(evidence, fit, slot) for slot in slots]
-    return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz)]
+    return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz or one.sweep_hz)]
 
 
 def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Sparse:
     trial = _Trial(evidence, fit, slot)
-    return max((_one_by_one(trial), _levels(trial)), key=lambda found: found.nats)
+    return max((_one_by_one(trial), _levels(trial), _sweeping(trial)), key=lambda found: found.nats)
 
 
 class _Trial:
@@ -68,6 +73,13 @@ class _Trial:
 
     def line(self, hertz: float) -> Array:
         """Return the columns (n, 2) of a line."""
+        phase = 2.0 * math.pi * hertz * self._time_s
+        return np.column_stack([to_cosine(np.cos(phase) / self.spread), to_cosine(np.sin(phase) / self.spread)])
+
+    def sweep(self, first_hz: float, last_hz: float) -> Array:
+        """Return the columns (n, 2) of a line that sweeps evenly."""
+        length_s = self.basis.n * self.basis.interval_s
+        hertz = first_hz + 0.5 * (last_hz - first_hz) * self._time_s / length_s
         phase = 2.0 * math.pi * hertz * self._time_s
         return np.column_stack([to_cosine(np.cos(phase) / self.spread), to_cosine(np.sin(phase) / self.spread)])
 
@@ -120,6 +132,15 @@ def _one_by_one(trial: _Trial) -> Sparse:
         certain = [math.inf] * len(steps)
         best = max(best, trial.found(left, quiet, steps, certain, lines), key=lambda one: one.nats)
     return best
+
+
+def _sweeping(trial: _Trial) -> Sparse:
+    """Take what is left for one line that sweeps."""
+    left, quiet = trial.whole, trial.quiet(trial.whole)
+    first_hz, last_hz, tried = best_sweep(score_of(left, quiet.power, trial.basis, trial.spread), trial.basis)
+    left, _ = _without(trial.whole, trial.sweep(first_hz, last_hz), quiet, trial.basis.counts)
+    found = trial.found(left, trial.quiet(left), [], [], [0.5 * (first_hz + last_hz)])
+    return replace(found, lines_hz=(), sweep_hz=(first_hz, last_hz), nats=found.nats - math.log(tried))
 
 
 def _levels(trial: _Trial) -> Sparse:

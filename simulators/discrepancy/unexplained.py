@@ -156,6 +156,8 @@ def _swallowed(one: Sparse) -> dict[str, Any]:
         parts.append(f"{len(hertz)} lines from {hertz[0]:.3g} to {hertz[-1]:.3g} Hz")
     elif hertz:
         parts.append(f"lines at {', '.join(f'{line:.3g}' for line in hertz)} Hz")
+    if one.sweep_hz:
+        parts.append(f"a line that sweeps from {one.sweep_hz[0]:.3g} to {one.sweep_hz[1]:.3g} Hz")
     text = " and ".join(parts)
     return {"kind": "sparse", "channel": CHANNELS[one.slot[1]], "term": text, "evidence_nats": one.nats}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import closed_form
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 
+from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
@@ -155,3 +157,24 @@ def test_two_names_that_only_together_leave_quiet_noise_are_found() -> None:
     report = discrepancy([recording(change, 57, moving=False)], model())
     names = {(name["effect"], name["channel"]) for one in report.findings for name in (one, *one["alternatives"])}
     assert {("bias_step", "gyro_y"), ("drift", "gyro_y")} <= names, report.document["text"]
+
+
+def test_a_dead_band_is_met_where_the_tilted_block_really_came_to_it() -> None:
+    """A tilt within its σ turns a part of every turn onto the sensor, twice as much as the dead band is wide."""
+    tilt, half_width = 3e-4, 4e-5
+
+    def hide(true: Truth, readings: np.ndarray) -> None:
+        lean = closed_form.rotation(0, tilt).T
+        readings[:, :3], readings[:, 3:] = true["accel"] @ lean.T, true["gyro"] @ lean.T
+
+    case = recording(hide, 120)
+    samples = case.samples.copy()
+    rates = samples["dtheta"][:, 1] * RATE_HZ
+    samples["dtheta"][:, 1] = np.where(np.abs(rates) < half_width, 0.0, rates) / RATE_HZ
+    given = case.meta.model_dump(exclude_none=True)
+    given["reference"] |= {"level_sigma_deg": math.degrees(tilt), "level_frame": "body"}
+    meta = RecordingMeta.model_validate(given)
+    report = discrepancy([Recording(samples, meta, case.path, case.meta_path)], model())
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("dead_band", "gyro_y")]
+    width = report.findings[0]["parameters"]["half_width"]
+    assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
