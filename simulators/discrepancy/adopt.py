@@ -218,7 +218,9 @@ class Searcher:
 
         That something is there is certain by then, so that the name needs no more evidence than to stay.
         """
-        for one in (found for found in find_sparse(self.evidence, current) if not found.sweep_hz):
+        for one in find_sparse(self.evidence, current):
+            if one.sweep_hz or (one.repeats_hz and len(one.lines_hz) > _FEW):
+                continue  # no name is like it
             named = [s for s in self.rank(current, adopted) if s.hypothesis.kind is Kind.NAMED]
             named = [s for s in named if one.slot in self.evidence.touched(s.hypothesis.columns)]
             if named and named[0].score > 0.5 * MARGIN:

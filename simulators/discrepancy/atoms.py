@@ -18,6 +18,8 @@ _TRIALS = 20  # places at which the power of a step is worked out; between them 
 _EDGE = 0.01  # of the record at either end, where a step says nothing
 _APART = 0.04  # of the record by which two steps are other ones
 _FEWEST_CYCLES = 2.0
+_HARMONICS, _REPEATS_HZ = 16, 1.0  # of a wave that repeats, and how often it may
+_HARMONIC_NATS = 4.0  # that a harmonic must add
 _SWEPT_HZ = 5.0  # within which lines that sweep are looked for
 _RATE_STEP = 1.0  # cycles over a record by which two sweeps differ
 _BLOCKS = 1000  # among which levels are told apart
@@ -120,6 +122,23 @@ def best_line(score: Array, power: Array, basis: Basis) -> tuple[float, float]:
         centre = trials[int(np.argmax([_size_at(score, 2.0 * math.pi * f * interval_s) for f in trials]))]
         step *= 0.5
     return centre, float(gain[best])
+
+
+def best_comb(score: Array, power: Array, basis: Basis) -> tuple[float, int, int]:
+    """Return the frequency of the repetition [Hz] whose harmonics explain most, how many, and how many were tried."""
+    n, interval_s = len(score), basis.interval_s
+    length_s = n * interval_s
+    spectrum = np.abs(np.fft.rfft(score, 4 * n)) ** 2
+    frequency = np.fft.rfftfreq(4 * n, interval_s)
+    place = np.clip((2.0 * frequency * length_s).astype(np.int64), 0, n - 1)
+    gain = spectrum * power[np.searchsorted(basis.bounds[1:-1], place, "right")] / n
+    step = 0.25 / (_HARMONICS * length_s)
+    firsts = np.arange(_FEWEST_CYCLES / length_s, min(_REPEATS_HZ, 0.5 / interval_s / _HARMONICS), step)
+    harmonics = firsts[:, None] * np.arange(1, _HARMONICS + 1)
+    gains = gain[np.round(harmonics * 4.0 * length_s).astype(np.int64)]
+    net = np.cumsum(gains - _HARMONIC_NATS, axis=1)
+    first, count = np.unravel_index(int(np.argmax(net)), net.shape)
+    return float(firsts[first]), int(count) + 1, len(firsts)
 
 
 def best_sweep(score: Array, basis: Basis) -> tuple[float, float, int]:

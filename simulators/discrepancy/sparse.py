@@ -2,8 +2,8 @@
 
 Noise of any colour takes whatever is there into its spectrum, a jump as well as a wave. But it spends evidence on every
 coefficient, and a structure that is simple spends it on a few: so what is left is described over again, in the noise
-in which nothing slow is random, by steps and lines taken one by one, or by one line that sweeps, each charged for the
-places it could have been.
+in which nothing slow is random, by steps and lines taken one by one, by one line that sweeps or by one wave that
+repeats, each charged for the places it could have been.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.atoms import best_line, best_sweep, levels, score_of
+from simulators.discrepancy.atoms import best_comb, best_line, best_sweep, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.whitening import STATED, NoiseFit
@@ -34,7 +34,7 @@ _STEP_COST, _LINE_COST = 2.0, 4.0  # of amplitudes, beyond ln of the number of p
 class Sparse:
     """Steps before these samples as analysed, and lines [Hz], that explain a slot better than noise, by ``nats``.
 
-    ``sweep_hz``: where a line that sweeps evenly begins and ends.
+    ``sweep_hz``: where a line that sweeps evenly begins and ends; ``repeats_hz``: of which lines are the harmonics.
     """
 
     slot: Slot
@@ -42,6 +42,7 @@ class Sparse:
     lines_hz: tuple[float, ...]
     nats: float
     sweep_hz: tuple[float, ...] = ()
+    repeats_hz: float = 0.0
 
 
 def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
@@ -53,7 +54,7 @@ def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
 
 def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Sparse:
     trial = _Trial(evidence, fit, slot)
-    return max((_one_by_one(trial), _levels(trial), _sweeping(trial)), key=lambda found: found.nats)
+    return max((_one_by_one(trial), _levels(trial), _sweeping(trial), _repeating(trial)), key=lambda found: found.nats)
 
 
 class _Trial:
@@ -63,7 +64,7 @@ class _Trial:
         self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
-        self._noise_alone = evidence.slot_value(slot, fit)
+        self.noise_alone = evidence.slot_value(slot, fit)
         self._time_s = (np.arange(self.basis.n) + 0.5) * self.basis.interval_s
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 
@@ -101,7 +102,7 @@ class _Trial:
     ) -> Sparse:
         """Return what is described, and by how much better than by noise alone."""
         cost = sum(self.step_cost(len(steps), jump, quiet) for jump in jumps) + len(lines) * self.line_cost
-        nats = self.evidence.noise_value(self.slot, quiet, left) - cost - self._noise_alone
+        nats = self.evidence.noise_value(self.slot, quiet, left) - cost - self.noise_alone
         return Sparse(self.slot, tuple(steps), tuple(lines), nats)
 
 
@@ -141,6 +142,19 @@ def _sweeping(trial: _Trial) -> Sparse:
     left, _ = _without(trial.whole, trial.sweep(first_hz, last_hz), quiet, trial.basis.counts)
     found = trial.found(left, trial.quiet(left), [], [], [0.5 * (first_hz + last_hz)])
     return replace(found, lines_hz=(), sweep_hz=(first_hz, last_hz), nats=found.nats - math.log(tried))
+
+
+def _repeating(trial: _Trial) -> Sparse:
+    """Take what is left for one wave that repeats, of any form."""
+    left, quiet = trial.whole, trial.quiet(trial.whole)
+    hertz, count, tried = best_comb(score_of(left, quiet.power, trial.basis, trial.spread), quiet.power, trial.basis)
+    lines = [harmonic * hertz for harmonic in range(1, count + 1)]
+    columns = np.column_stack([trial.line(line) for line in lines])
+    left, _ = _without(trial.whole, columns, quiet, trial.basis.counts)
+    quiet = trial.quiet(left)
+    cost = math.log(tried) + count * _LINE_COST
+    nats = trial.evidence.noise_value(trial.slot, quiet, left) - cost - trial.noise_alone
+    return Sparse(trial.slot, (), tuple(lines), nats, repeats_hz=hertz)
 
 
 def _levels(trial: _Trial) -> Sparse:

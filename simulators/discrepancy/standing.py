@@ -29,7 +29,8 @@ _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BESIDE = 50  # samples beside a run that say how it would have been shaken
 _BLOCK = 32
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
-_COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few
+_COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
+_TOO_MANY = 3.0  # times as many zeros as are to be expected
 _NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
 
 
@@ -153,7 +154,10 @@ def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Ar
     beside = as_small & ~silent
     jolted = said[beside, None] + white * _NORMAL
     expected = float(np.mean(np.minimum(np.abs(jolted), 1.0))) if beside.any() else 0.0
-    return beside.sum() * expected > _COUNTED and float(np.mean(reading[beside] != 0.0)) < _MOSTLY * expected
+    others = float(np.mean(reading[beside] != 0.0)) if beside.any() else 0.0
+    too_few_others = beside.sum() * expected > _COUNTED and others < _MOSTLY * expected
+    zeros = beside.sum() * (1.0 - others)
+    return too_few_others or zeros > max(_COUNTED, _TOO_MANY * beside.sum() * (1.0 - expected))
 
 
 def _mean_run(increment: Array) -> float:

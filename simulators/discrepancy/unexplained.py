@@ -96,9 +96,12 @@ def judge(
         if text is None:
             continue
         withdrawn += lines
+        total = sum(a.gain for a in lines)
+        withdrawn += [
+            a for a in named if a not in lines and _mostly_on(gains[id(a)], channel) and a.gain * MISFIT_SHARE < total
+        ]
         hertz = sorted(a.hypothesis.shape["frequency"] for a in lines)
-        nats = sum(a.gain for a in lines)
-        terms.append({"kind": "periodic", "channel": channel, "term": text, "evidence_nats": nats, "hertz": hertz})
+        terms.append({"kind": "periodic", "channel": channel, "term": text, "evidence_nats": total, "hertz": hertz})
     for noise in (n for n in other_noise if n.channel not in silenced):
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
@@ -156,6 +159,8 @@ def _swallowed(one: Sparse) -> dict[str, Any]:
         parts.append(f"{len(hertz)} lines from {hertz[0]:.3g} to {hertz[-1]:.3g} Hz")
     elif hertz:
         parts.append(f"lines at {', '.join(f'{line:.3g}' for line in hertz)} Hz")
+    if one.repeats_hz:
+        parts = [f"a wave that repeats every {1.0 / one.repeats_hz:.3g} s"]
     if one.sweep_hz:
         parts.append(f"a line that sweeps from {one.sweep_hz[0]:.3g} to {one.sweep_hz[1]:.3g} Hz")
     text = " and ".join(parts)

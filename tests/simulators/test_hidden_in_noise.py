@@ -11,6 +11,7 @@ import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 
 from drivers.recording import Recording, RecordingMeta
+from inertial.documents import BlockModel, EffectEntry
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
@@ -160,8 +161,8 @@ def test_two_names_that_only_together_leave_quiet_noise_are_found() -> None:
 
 
 def test_a_dead_band_is_met_where_the_tilted_block_really_came_to_it() -> None:
-    """A tilt within its σ turns a part of every turn onto the sensor, twice as much as the dead band is wide."""
-    tilt, half_width = 3e-4, 4e-5
+    """A tilt within its σ turns a part of every turn onto the sensor, two or three σ of it."""
+    tilt, half_width = 1e-4, 4e-5
 
     def hide(true: Truth, readings: np.ndarray) -> None:
         lean = closed_form.rotation(0, tilt).T
@@ -175,6 +176,47 @@ def test_a_dead_band_is_met_where_the_tilted_block_really_came_to_it() -> None:
     given["reference"] |= {"level_sigma_deg": math.degrees(tilt), "level_frame": "body"}
     meta = RecordingMeta.model_validate(given)
     report = discrepancy([Recording(samples, meta, case.path, case.meta_path)], model())
-    assert [(one["effect"], one["channel"]) for one in report.findings] == [("dead_band", "gyro_y")]
-    width = report.findings[0]["parameters"]["half_width"]
+    found = [(one["effect"], one["channel"]) for one in report.findings]
+    assert set(found) - {("random_walk", "gyro_y")} == {("dead_band", "gyro_y")}  # noise is silenced in part
+    width = report.findings[found.index(("dead_band", "gyro_y"))]["parameters"]["half_width"]
     assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_a_line_that_sweeps_is_structure_and_no_larger_noise(free: bool) -> None:
+    """From 0.02 to 2 Hz: as flat a spectrum as noise of that band."""
+
+    def hide(true: Truth, readings: np.ndarray) -> None:
+        hertz = 0.02 + 0.5 * 1.98 * true["t"] / DURATION_S
+        readings[:, 1] += 2.4 * WHITE["accel"] * np.sin(2.0 * np.pi * hertz * true["t"])
+
+    report = discrepancy([recording(hide, 121, moving=False)], model(free=free))
+    assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
+    terms = [(one["channel"], one["term"]) for one in report.document["remaining"]["empirical"]]
+    assert [channel for channel, term in terms if "sweeps" in term] == ["accel_y"]
+
+
+def test_a_wave_that_repeats_is_structure_and_no_larger_noise() -> None:
+    """A relaxation oscillation: some ten harmonics, each of them small."""
+
+    def hide(true: Truth, readings: np.ndarray) -> None:
+        phase = (true["t"] / 17.3) % 1.0
+        readings[:, 4] += 10.0 * WHITE["gyro"] * (1.0 - np.exp(-phase / 0.1) - 0.9)
+
+    report = discrepancy([recording(hide, 122, moving=False)], model(free=True))
+    assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
+    assert {one["channel"] for one in report.document["remaining"]["empirical"]} == {"gyro_y"}
+
+
+def test_what_the_model_is_unsure_of_is_no_finding() -> None:
+    def hide(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 0] += 4e-3
+
+    known = {"value": 3e-3, "sigma": 7e-4, "unit": "m/s^2"}
+    entry = {"effect": "bias_shift", "channel": "accel_x", "parameters": {"shift": known}}
+    believed = BlockModel.model_validate({**model().model_dump(), "effects": [entry]})
+    report = discrepancy([recording(hide, 123)], believed)
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]
+    sure = {**entry, "parameters": {"shift": {**known, "sigma": 1e-6}}}
+    report = discrepancy([recording(hide, 123)], believed.model_copy(update={"effects": [EffectEntry(**sure)]}))
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("bias_shift", "accel_x")]
