@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import idct
+from scipy.fft import fft, fftfreq, idct
 
 from inertial.compiled import compiled
 from simulators.discrepancy.candidates import to_cosine
@@ -21,7 +21,7 @@ _FEWEST_CYCLES = 2.0
 _HARMONICS, _REPEATS_HZ = 16, 1.0  # of a wave that repeats, and how often it may
 _HARMONIC_NATS = 4.0  # that a harmonic must add
 _SWEPT_HZ = 5.0  # within which lines that sweep are looked for
-_RATE_STEP = 1.0  # cycles over a record by which two sweeps differ
+_RATE_STEP = 2.0  # cycles over a record by which two sweeps differ
 _BLOCKS = 1000  # among which levels are told apart
 
 
@@ -153,15 +153,21 @@ def best_sweep(score: Array, basis: Basis) -> tuple[float, float, int]:
     time_s = (np.arange(count) + 0.5) * size * basis.interval_s
     highest_hz = min(_SWEPT_HZ, 0.25 / (size * basis.interval_s))
     rates = np.arange(0.0, highest_hz * length_s, _RATE_STEP) / length_s**2
-    frequency_hz = np.fft.fftfreq(2 * count, size * basis.interval_s)
+    frequency_hz = fftfreq(2 * count, size * basis.interval_s)
+    once = np.exp(-1j * math.pi * _RATE_STEP * (time_s / length_s) ** 2).astype(np.complex64)
     best, found = 0.0, (0.0, 0.0)
-    for rate in (*rates, *-rates[1:]):
-        spectrum = np.abs(np.fft.fft(sums * np.exp(-1j * math.pi * rate * time_s**2), 2 * count))
-        ends = frequency_hz, frequency_hz + rate * length_s
-        within = (np.minimum(*ends) > _FEWEST_CYCLES / length_s) & (np.maximum(*ends) < highest_hz)
-        place = int(np.argmax(np.where(within, spectrum, 0.0)))
-        if within[place] and spectrum[place] > best:
-            best, found = float(spectrum[place]), (float(ends[0][place]), float(ends[1][place]))
+    for sign, back in ((1.0, once), (-1.0, once.conj())):
+        turned = sums.astype(np.complex64)
+        for rate in sign * rates:
+            first, last = max(-rate * length_s, 0.0), highest_hz - max(rate * length_s, 0.0)
+            low, high = np.searchsorted(frequency_hz[:count], (first + _FEWEST_CYCLES / length_s, last))
+            if low < high:
+                spectrum = np.abs(fft(turned, 2 * count)[low:high])
+                place = int(np.argmax(spectrum))
+                if spectrum[place] > best:
+                    best, first_hz = float(spectrum[place]), float(frequency_hz[low + place])
+                    found = first_hz, first_hz + float(rate) * length_s
+            turned *= back
     return *found, 2 * len(rates)
 
 

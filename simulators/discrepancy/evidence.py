@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-11
@@ -72,6 +74,8 @@ class Evidence:
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
+        self._done_for: Fit | None = None
+        self._done: dict[Slot, object] = {}
         self._local: dict[Slot, dict[int, int]] = {}
         self._gram: dict[Slot, Array] = {}
         self._with_residual: dict[Slot, Array] = {}
@@ -146,6 +150,14 @@ class Evidence:
             changed |= bool(np.max(np.abs(after / before - 1.0)) > _RESPREAD)
             self.stated[slot] = after
         return changed
+
+    def once(self, fit: Fit, slot: Slot, work: Callable[[], T]) -> T:
+        """Return what some work on a slot's part of a fit comes to, done once for the last fit that was asked for."""
+        if self._done_for is not fit:
+            self._done_for, self._done = fit, {}
+        if slot not in self._done:
+            self._done[slot] = work()
+        return cast("T", self._done[slot])
 
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]

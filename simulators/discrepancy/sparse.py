@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class Sparse:
 def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
     """Return the slots whose noise, other than stated, is better taken for a few steps and lines."""
     slots = [slot for slot in evidence.slots if fit.noise[slot].level != STATED]
-    found = [_of_slot(evidence, fit, slot) for slot in slots]
+    found = [evidence.once(fit, slot, partial(_of_slot, evidence, fit, slot)) for slot in slots]
     return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz or one.sweep_hz)]
 
 

@@ -32,6 +32,7 @@ _FIRST, _HIGHEST_HZ = 32, 5.0
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
 _SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
 _MANY_LINES = 4
+_FEW_STEPS = 2  # of one channel that are still shocks of their own
 _HARMONIC, _BAND, _DOMINANT = 0.01, 1.3, 0.9
 
 
@@ -95,13 +96,17 @@ def judge(
         text = _together(search, lines)
         if text is None:
             continue
-        withdrawn += lines
         total = sum(a.gain for a in lines)
-        withdrawn += [
-            a for a in named if a not in lines and _mostly_on(gains[id(a)], channel) and a.gain * MISFIT_SHARE < total
-        ]
+        withdrawn += lines + _stood_in(named, gains, channel, total)
         hertz = sorted(a.hypothesis.shape["frequency"] for a in lines)
         terms.append({"kind": "periodic", "channel": channel, "term": text, "evidence_nats": total, "hertz": hertz})
+    for channel in CHANNELS:
+        steps = [a for a in named if a.hypothesis.name == ("bias_step", channel)]
+        if len(steps) > _FEW_STEPS:
+            total = sum(a.gain for a in steps)
+            withdrawn += steps + _stood_in(named, gains, channel, total)
+            term = f"{len(steps)} jumps"
+            terms.append({"kind": "sparse", "channel": channel, "term": term, "evidence_nats": total})
     for noise in (n for n in other_noise if n.channel not in silenced):
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
@@ -110,11 +115,15 @@ def judge(
     unsteady = swallowed + [found for found in _unsteady(search) if found["channel"] not in silenced]
     for found in unsteady:
         terms.append(found)
-        sensor, nats = str(found["channel"]), float(found["evidence_nats"])
-        for a in named:
-            if _mostly_on(gains[id(a)], sensor) and a.gain * MISFIT_SHARE < nats:
-                withdrawn.append(a)
+        withdrawn += _stood_in(named, gains, str(found["channel"]), float(found["evidence_nats"]))
     return Unexplained(terms, curves, withdrawn, misfits, unsteady)
+
+
+def _stood_in(
+    named: Sequence[Adopted], gains: Mapping[int, Mapping[str, float]], channel: str, nats: float
+) -> list[Adopted]:
+    """Return the names that stood in for an unknown of so many nats on a channel, where most of their evidence lies."""
+    return [a for a in named if _mostly_on(gains[id(a)], channel) and a.gain * MISFIT_SHARE < nats]
 
 
 def _mostly_on(gains: Mapping[str, float], channel: str) -> bool:
