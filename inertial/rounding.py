@@ -18,8 +18,8 @@ from inertial.compiled import compiled
 Array = npt.NDArray[np.float64]
 
 _HARMONICS = 8
-_DRAWS = 16
-_COEFFICIENTS = 1e7
+_DRAWS = 16  # records simulated
+_COEFFICIENTS = 1e7  # among which the largest line is looked for, in all channels and records
 LOOKED_AT = 1 << 16  # readings are enough to show a lattice
 _OFF_LATTICE = 0.02  # rms distance from the lattice, in steps; readings on none have 0.29
 _COARSE = 20.0  # last places of a frame that a step must have to be told from them
@@ -81,9 +81,9 @@ def _counted(beyond: Array, step: float, error: float) -> Array:
 def largest_line(sigma: float, samples: int) -> float:
     """Return the largest amplitude [steps] that a line of the rounding error shows in so many samples.
 
-    The sawtooth's first harmonic has 1/π. Noise of ``sigma`` steps a sample turns its phase, so that it adds up over a
-    few samples only; both its lines may fall together, beside what is white; one coefficient in :data:`_COEFFICIENTS`
-    is larger than its mean by the logarithm of their number.
+    The sawtooth's first harmonic has 1/π. Noise of ``sigma`` [steps per sample] turns its phase, so that it adds up
+    over a few samples only, with the line width of :func:`error_spectrum`; both its lines may fall together, beside
+    what is white. The largest of many coefficients exceeds its mean by the logarithm of their number.
     """
     fade = float(np.exp(-2.0 * (np.pi * sigma) ** 2))
     together = (1.0 + fade) / max(1.0 - fade, 1e-12)

@@ -46,9 +46,8 @@ class Scene:
     """One recording as it is compared: n samples, six channels.
 
     ``setup`` is what is believed; ``seen`` the circumstances by that belief; ``predicted``, ``measured`` (n, 6) [y];
-    ``shaken`` (n, 3) the vibration
-    [m/s²]; ``group`` how many samples are averaged to one before analysis; ``corrected`` (n, 6) [y] what errors of the
-    reference make of the prediction, as far as they have been found.
+    ``shaken`` (n, 3) the vibration [m/s²]; ``group`` how many samples are averaged to one before analysis;
+    ``corrected`` (n, 6) [y] what errors of the reference make of the prediction, as far as they have been found.
     """
 
     recording: Recording
@@ -155,6 +154,14 @@ class Scene:
             for index, motion in enumerate(self.setup.motions)
             if isinstance(motion, Turn) and motion.end_s > start and motion.start_s < end and motion.rate_radps != 0.0
         ]
+
+    def near_turn_ends(self, time_s: Array, within_s: float) -> NDArray[np.bool_]:
+        """Return which times [s] are near the beginning or the end of a turn."""
+        near = np.zeros(len(time_s), dtype=np.bool_)
+        for _, turn in self.turns():
+            for end_s in (turn.start_s, turn.end_s):
+                near |= np.abs(time_s - end_s) < within_s
+        return near
 
     def shaking(self) -> NDArray[np.bool_]:
         """Return where a vibration goes on (n,)."""

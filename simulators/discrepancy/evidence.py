@@ -128,13 +128,9 @@ class Evidence:
             rounded = basis.frequency_hz > freely_rounded_hz(noise, basis.interval_s)
             self._scatter[slot] = 1.0
             if rounded.any():
-                measured, predicted = (
-                    scene.analysed(r[:, slot[1]], slot[1]) for r in (scene.measured, scene.predicted)
-                )
                 per_step = basis.interval_s / noise.quantisation
-                advance = (predicted + np.mean(measured - predicted)) * per_step
                 sigma = noise.white / math.sqrt(basis.interval_s) * per_step
-                scatter = power_scatter(advance, sigma, basis.bounds)
+                scatter = power_scatter(scene.motion(slot[1]) * per_step, sigma, basis.bounds)
                 weight = basis.counts * rounded
                 self._scatter[slot] = max(1.0, float(weight @ scatter / weight.sum()))
         return self._scatter[slot]

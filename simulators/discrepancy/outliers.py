@@ -36,7 +36,7 @@ class Outlier:
 def find_outliers(scene: Scene) -> tuple[Scene, list[Outlier]]:
     """Return the scene with its wild samples marked missing, and which they were."""
     missing, found = scene.data.missing.copy(), []
-    changing = _changing(scene)
+    changing = scene.near_turn_ends(scene.time_s, _EDGE_S)
     for column, channel in enumerate(CHANNELS):
         wild, sigmas = _wild(scene, column)
         wild &= ~(missing[:, column] | changing | (scene.shaking() if column < 3 else False))
@@ -60,12 +60,3 @@ def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array]:
     if not 0.0 < sigma < math.inf:
         return np.zeros(off.size, dtype=np.bool_), off
     return (size > _WILD * sigma) & (around < _TAME * sigma), off / sigma
-
-
-def _changing(scene: Scene) -> NDArray[np.bool_]:
-    """Return where a turn begins or ends (n,)."""
-    near = np.zeros(len(scene.time_s), dtype=np.bool_)
-    for _, turn in scene.turns():
-        for end_s in (turn.start_s, turn.end_s):
-            near |= np.abs(scene.time_s - end_s) < _EDGE_S
-    return near

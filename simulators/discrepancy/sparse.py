@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -65,8 +65,8 @@ class _Trial:
         self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
-        self.noise_alone = evidence.slot_value(slot, fit)
-        self._time_s = (np.arange(self.basis.n) + 0.5) * self.basis.interval_s
+        self._noise_alone = evidence.slot_value(slot, fit)
+        self._time_s: Array = (np.arange(self.basis.n) + 0.5) * self.basis.interval_s
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 
     def step(self, first: int) -> Array:
@@ -75,14 +75,15 @@ class _Trial:
 
     def line(self, hertz: float) -> Array:
         """Return the columns (n, 2) of a line."""
-        phase = 2.0 * math.pi * hertz * self._time_s
-        return np.column_stack([to_cosine(np.cos(phase) / self.spread), to_cosine(np.sin(phase) / self.spread)])
+        return self._wave(np.asarray(hertz * self._time_s))
 
     def sweep(self, first_hz: float, last_hz: float) -> Array:
         """Return the columns (n, 2) of a line that sweeps evenly."""
         length_s = self.basis.n * self.basis.interval_s
-        hertz = first_hz + 0.5 * (last_hz - first_hz) * self._time_s / length_s
-        phase = 2.0 * math.pi * hertz * self._time_s
+        return self._wave((first_hz + 0.5 * (last_hz - first_hz) * self._time_s / length_s) * self._time_s)
+
+    def _wave(self, cycles: Array) -> Array:
+        phase = 2.0 * math.pi * cycles
         return np.column_stack([to_cosine(np.cos(phase) / self.spread), to_cosine(np.sin(phase) / self.spread)])
 
     def quiet(self, left: Array) -> NoiseFit:
@@ -103,8 +104,11 @@ class _Trial:
     ) -> Sparse:
         """Return what is described, and by how much better than by noise alone."""
         cost = sum(self.step_cost(len(steps), jump, quiet) for jump in jumps) + len(lines) * self.line_cost
-        nats = self.evidence.noise_value(self.slot, quiet, left) - cost - self.noise_alone
-        return Sparse(self.slot, tuple(steps), tuple(lines), nats)
+        return Sparse(self.slot, tuple(steps), tuple(lines), self.gained(left, quiet, cost))
+
+    def gained(self, left: Array, quiet: NoiseFit, cost: float) -> float:
+        """Return by how much a description that costs so many nats is better than noise alone."""
+        return self.evidence.noise_value(self.slot, quiet, left) - cost - self._noise_alone
 
 
 def _one_by_one(trial: _Trial) -> Sparse:
@@ -141,8 +145,8 @@ def _sweeping(trial: _Trial) -> Sparse:
     left, quiet = trial.whole, trial.quiet(trial.whole)
     first_hz, last_hz, tried = best_sweep(score_of(left, quiet.power, trial.basis, trial.spread), trial.basis)
     left, _ = _without(trial.whole, trial.sweep(first_hz, last_hz), quiet, trial.basis.counts)
-    found = trial.found(left, trial.quiet(left), [], [], [0.5 * (first_hz + last_hz)])
-    return replace(found, lines_hz=(), sweep_hz=(first_hz, last_hz), nats=found.nats - math.log(tried))
+    nats = trial.gained(left, trial.quiet(left), trial.line_cost + math.log(tried))
+    return Sparse(trial.slot, (), (), nats, sweep_hz=(first_hz, last_hz))
 
 
 def _repeating(trial: _Trial) -> Sparse:
@@ -152,9 +156,7 @@ def _repeating(trial: _Trial) -> Sparse:
     lines = [harmonic * hertz for harmonic in range(1, count + 1)]
     columns = np.column_stack([trial.line(line) for line in lines])
     left, _ = _without(trial.whole, columns, quiet, trial.basis.counts)
-    quiet = trial.quiet(left)
-    cost = math.log(tried) + count * _LINE_COST
-    nats = trial.evidence.noise_value(trial.slot, quiet, left) - cost - trial.noise_alone
+    nats = trial.gained(left, trial.quiet(left), math.log(tried) + count * _LINE_COST)
     return Sparse(trial.slot, (), tuple(lines), nats, repeats_hz=hertz)
 
 

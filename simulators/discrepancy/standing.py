@@ -56,7 +56,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         off = scene.measured[came, column] * interval[came] - said
         white = getattr(scene.model.noise, channel).white * (FREE_SHARE if scene.model.noise.free else 1.0)
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
-        shaken = _shaken(scene, column)[came] * interval[came]
+        shaken = _vibrated(scene, column)[came] * interval[came]
         for first, last in _standing(increment, off, said, white_by_model, shaken):
             start, end = int(came[first]), int(came[last])
             missing[start : end + 1, column] = True
@@ -67,7 +67,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _shaken(scene: Scene, column: int) -> Array:
+def _vibrated(scene: Scene, column: int) -> Array:
     """Return by how much a vibration changes a channel's rate from each sample to the next (n,)."""
     change = np.zeros(len(scene.measured))
     if column < 3:
@@ -153,11 +153,10 @@ def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Ar
         return True
     beside = as_small & ~silent
     jolted = said[beside, None] + white * _NORMAL
-    expected = float(np.mean(np.minimum(np.abs(jolted), 1.0))) if beside.any() else 0.0
-    others = float(np.mean(reading[beside] != 0.0)) if beside.any() else 0.0
-    too_few_others = beside.sum() * expected > _COUNTED and others < _MOSTLY * expected
-    zeros = beside.sum() * (1.0 - others)
-    return too_few_others or zeros > max(_COUNTED, _TOO_MANY * beside.sum() * (1.0 - expected))
+    count, others = int(beside.sum()), int(np.count_nonzero(reading[beside]))
+    expected = float(np.sum(np.mean(np.minimum(np.abs(jolted), 1.0), axis=1)))
+    too_few_others = expected > _COUNTED and others < _MOSTLY * expected
+    return too_few_others or count - others > max(_COUNTED, _TOO_MANY * (count - expected))
 
 
 def _mean_run(increment: Array) -> float:

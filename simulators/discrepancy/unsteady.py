@@ -65,11 +65,9 @@ def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.b
     """Return where the block stands still, and where it turns and where it is shaken, as analysed."""
     time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
     turning = np.zeros(n, dtype=np.bool_)
-    edge = np.zeros(n, dtype=np.bool_)
+    edge = scene.near_turn_ends(time_s, _EDGE_S)
     for _, turn in scene.turns():
         turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
-        for end in (turn.start_s, turn.end_s):
-            edge |= np.abs(time_s - end) < _EDGE_S
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
     return ~(turning | shaking | edge), [turning & ~edge, shaking & ~edge]
 
