@@ -66,7 +66,7 @@ class _Trial:
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
         self._noise_alone = evidence.slot_value(slot, fit)
-        self._time_s: Array = (np.arange(self.basis.n) + 0.5) * self.basis.interval_s
+        self._time_s = np.asarray((np.arange(self.basis.n) + 0.5) * self.basis.interval_s)
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 
     def step(self, first: int) -> Array:
@@ -75,12 +75,13 @@ class _Trial:
 
     def line(self, hertz: float) -> Array:
         """Return the columns (n, 2) of a line."""
-        return self._wave(np.asarray(hertz * self._time_s))
+        return self._wave(hertz * self._time_s)
 
     def sweep(self, first_hz: float, last_hz: float) -> Array:
         """Return the columns (n, 2) of a line that sweeps evenly."""
         length_s = self.basis.n * self.basis.interval_s
-        return self._wave((first_hz + 0.5 * (last_hz - first_hz) * self._time_s / length_s) * self._time_s)
+        hertz: Array = first_hz + 0.5 * (last_hz - first_hz) * self._time_s / length_s
+        return self._wave(hertz * self._time_s)
 
     def _wave(self, cycles: Array) -> Array:
         phase = 2.0 * math.pi * cycles
