@@ -352,7 +352,7 @@ class _Draft:
 
         if name == "stuck_samples":
             usual = sent(reading)
-            return lambda e: metric.size(hidden.reframe(e, world, usual) - usual)
+            return lambda e: metric.size(hidden.stuck_shift(e, world, usual))
         sigma = self.spectra[channel].white / math.sqrt(world.dt)
         return lambda e: metric.size(hidden.mean_read_out(e, world, sigma))
 

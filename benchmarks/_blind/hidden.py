@@ -309,8 +309,21 @@ def reframe(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
             columns = {"accel": [0, 1, 2], "gyro": [3, 4, 5]}.get(effect.channel) or [index(effect.channel)]
             out[:, columns] *= p["factor"]
         case "stuck_samples":
-            stamps = world.edges[1:]
-            stuck = np.flatnonzero((stamps >= p["start"]) & (stamps < p["start"] + p["duration"]))
+            stuck = stuck_rows(effect, world)
             if len(stuck):
                 out[stuck, index(effect.channel)] = out[stuck[0] - 1, index(effect.channel)]
+    return out
+
+
+def stuck_rows(effect: Effect, world: World) -> np.ndarray:
+    """Which samples repeat the one before the first of them."""
+    start, stamps = effect.parameters["start"], world.edges[1:]
+    return np.flatnonzero((stamps >= start) & (stamps < start + effect.parameters["duration"]))
+
+
+def stuck_shift(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
+    """What stuck samples add to the input (n, 6): what each would have read by its noise nobody can know."""
+    rows, column = stuck_rows(effect, world), index(effect.channel)
+    out = np.zeros((world.count, 6))
+    out[rows, column] = (reframe(effect, world, reading) - world.inputs)[rows, column]
     return out

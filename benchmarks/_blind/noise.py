@@ -12,7 +12,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 _PER_DECADE = 4
-_CORRELATION_S = (0.02, 2000.0)
+_LONGEST_S = 2000.0
+_SHORTEST_INTERVALS = 0.45
+"""Of the fastest process: its sampled spectrum goes on as 1/f to half the rate."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Spectrum:
         out = self.white / np.sqrt(dt) * _white(rng, count, tails)
         out += self.random_walk * np.sqrt(dt) * np.cumsum(rng.standard_normal(count))
         if self.flicker:
-            low, high = np.log10(_CORRELATION_S)
+            low, high = np.log10(_SHORTEST_INTERVALS * dt), np.log10(_LONGEST_S)
             constants = np.logspace(low, high, round(_PER_DECADE * (high - low)))
             share = self.flicker * np.sqrt(np.log(constants[1] / constants[0]) / np.pi)
             for constant in constants:

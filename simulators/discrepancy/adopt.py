@@ -354,6 +354,8 @@ class Searcher:
         width = _WIDTH[name]
         if name == "time":
             width = _NEARBY * self.library.scenes[0].interval_s
+        elif name == "frequency":  # that of a spectrum is good for a line of some ten σ
+            width = _NEAR_LINE / self.library.longest_s
         best, value = hypothesis, self._gain(hypothesis, look)
         places = hypothesis.places
         if name in USUAL and is_usual(hypothesis.shape):
@@ -495,9 +497,11 @@ def _silent(share: float, text: str) -> None:
     del share, text
 
 
-_WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0, "time": 0.0}
+_WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0}
+_WIDTH |= {"time": 0.0, "frequency": 0.0}
 _NEARBY = 10.0  # samples that a step may be off at first
-_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9}
+_NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
+_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 12}
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:

@@ -9,10 +9,13 @@ import numpy as np
 from inertial.documents import ParameterValue
 from simulators.discrepancy.candidates import Column, Hypothesis
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.silence import half_width
 from simulators.effects import get_effect
 from simulators.effects.base import unit_of
 
 _SHIFT = {"time_constant": 0.05, "half_width": 0.02, "limit": 0.002, "reference": 0.5, "nominal": 0.1}
+_REACH, _LOOKS = 4.0, 17  # σ of a time constant to either side over which its likelihood is looked at, and where
+_WIDEST = 0.5  # of its logarithm, for this
 _RELATIVE = ("time_constant", "half_width", "limit")
 
 
@@ -22,7 +25,8 @@ def parameters_of(
     """Return value and 1σ of every parameter, in SI.
 
     A shape is varied by fitting, beside the column, its change with the shape: to first order that change's amplitude
-    is the shape's shift, and its covariance with the column's own amplitude is accounted for.
+    is the shape's shift, and its covariance with the column's own amplitude is accounted for. A time constant's σ is
+    that of its whole likelihood, which is anything but symmetric where an amplitude makes up for it.
     """
     effect = get_effect(hypothesis.effect)
     ids = [i for h in everything for i in h.columns]
@@ -60,7 +64,57 @@ def parameters_of(
         if name == "time":
             spread = max(spread or 0.0, _change_point_sigma(evidence, hypothesis, fit))
         values[name] = ParameterValue(value=float(value), sigma=spread, unit=unit_of(parameter, hypothesis.channel))
+    if hypothesis.effect == "dead_band":
+        values = _by_samples(evidence, hypothesis, values)
+    if shapes == ["time_constant"] and values["time_constant"].sigma:
+        values = _by_likelihood(evidence, hypothesis, everything, fit, values)
     return values
+
+
+def _by_samples(
+    evidence: Evidence, hypothesis: Hypothesis, values: dict[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return a dead band's half-width as its samples say, where they say it."""
+    ((name, mean),) = values.items()
+    read = half_width(evidence.library.scenes, hypothesis.channel, mean.value)
+    return values if read is None else {name: mean.model_copy(update={"value": read[0], "sigma": read[1]})}
+
+
+def _by_likelihood(
+    evidence: Evidence,
+    hypothesis: Hypothesis,
+    everything: Sequence[Hypothesis],
+    fit: Fit,
+    values: dict[str, ParameterValue],
+) -> dict[str, ParameterValue]:
+    """Return an amplitude and its time constant with their rms about these values over the likelihood of both.
+
+    All time constants on a logarithmic scale count alike, up to the longest that the record can tell from a constant.
+    """
+    amplitude, shape = values.items()
+    middle, width = shape[1].value, min((shape[1].sigma or 0.0) / shape[1].value, _WIDEST)
+    others = [h for h in everything if h is not hypothesis]
+    fixed = [i for h in others if h.unit_amplitude for i in h.columns]
+    found = []
+    for place in np.linspace(-_REACH, _REACH, _LOOKS):
+        at = middle * float(np.exp(place * width))
+        trial = evidence.library.trial(hypothesis.effect, hypothesis.channel, {shape[0]: at}, hypothesis.places)
+        if trial is None or at > evidence.library.longest_s:
+            continue
+        one = evidence.fit([i for h in (*others, trial) for i in h.columns], fit, fixed)
+        column = one.ids.index(trial.columns[0])
+        found.append((at, one.value, one.amplitude[column], one.covariance[column, column]))
+        evidence.library.forget(trial)
+    at, value, size, variance = np.array(found).T
+    weight = np.exp(value - value.max())
+    spreads = {
+        amplitude[0]: variance + (size - amplitude[1].value) ** 2,
+        shape[0]: (at - middle) ** 2,
+    }
+    return {
+        name: values[name].model_copy(update={"sigma": float(np.sqrt(weight @ square / weight.sum()))})
+        for name, square in spreads.items()
+    }
 
 
 def _change_point_sigma(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> float:

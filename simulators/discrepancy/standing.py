@@ -24,6 +24,7 @@ _CHANCE = 1e-3  # of a run of equal readings arising by itself in a channel that
 _SHORTEST_RUN = 3
 _SHORT_RUN = 6
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
+_NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BESIDE = 50  # samples beside a run that say how it would have been shaken
@@ -215,12 +216,21 @@ def _may_be_astray(
 def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
-    That is noise, rounding of the run and of its neighbours, and what these differ by among themselves.
+    Those far about it know best what goes on all the time, those next to it whether the input itself swung so far: a
+    register that stood still is off both.
+    """
+    return min(_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
+
+
+def _off_beside(off: Array, a: int, b: int, step: float, noise: float, aside: int) -> float:
+    """Return :func:`_astray` by so many samples on either side.
+
+    What the sum may be off is noise, rounding of the run and of its neighbours, and what these differ by among
+    themselves.
     """
     count = b - a
-    aside = max(_ASIDE, 3 * count)
     sides = (off[max(0, a - aside) : max(0, a - 1)], off[b + 2 : b + 2 + aside])
-    halves = [half for side in sides if side.size >= _ASIDE // 2 for half in np.array_split(side, 2)]
+    halves = [half for side in sides if side.size >= aside // 2 for half in np.array_split(side, 2)]
     if not halves:
         return 0.0
     means = np.array([float(half.mean()) for half in halves])

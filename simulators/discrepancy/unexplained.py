@@ -33,6 +33,7 @@ _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing 
 _SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
 _MANY_LINES = 4
 _FEW_STEPS = 2  # of one channel that are still shocks of their own
+_FORM_S, _FORM_ERROR = 1.0, 0.3  # over which a form is looked at, and the share of it that an error of it may be
 _HARMONIC, _BAND, _DOMINANT = 0.01, 1.3, 0.9
 
 
@@ -81,7 +82,8 @@ def judge(
         for large in named:
             channel, among = max(gains[id(small)].items(), key=lambda one: one[1], default=("", 0.0))
             weak = among < PHANTOM_SHARE * gains[id(large)].get(channel, 0.0)
-            if small is not large and weak and small not in withdrawn and _mostly_on(gains[id(small)], channel):
+            weak &= small is not large and small not in withdrawn and _mostly_on(gains[id(small)], channel)
+            if weak and _mends(search, small, large, channel):
                 withdrawn.append(small)
                 misfits.append({**_described(small, search), "of": large.hypothesis.effect})
     for channel in CHANNELS:
@@ -124,6 +126,34 @@ def _stood_in(
 ) -> list[Adopted]:
     """Return the names that stood in for an unknown of so many nats on a channel, where most of their evidence lies."""
     return [a for a in named if _mostly_on(gains[id(a)], channel) and a.gain * MISFIT_SHARE < nats]
+
+
+def _mends(search: Search, small: Adopted, large: Adopted, channel: str) -> bool:
+    """Whether a name may be no more than an error in the form of a larger one on a channel.
+
+    Such an error is nowhere much larger than a part of the form, neither in time nor in frequency.
+    """
+    evidence, fit = search.evidence, search.fit
+    for slot in (slot for slot in evidence.slots if CHANNELS[slot[1]] == channel):
+        basis = evidence.basis[slot]
+        weight = np.repeat(1.0 / np.sqrt(fit.noise[slot].power), basis.counts.astype(np.int64))
+        one, other = (weight * _contribution(search, a, slot) for a in (small, large))
+        blocks = np.arange(0, basis.n, max(1, round(_FORM_S / basis.interval_s)))
+        for values, starts in (((one, other), basis.bounds[:-1]), ((idct(one), idct(other)), blocks)):
+            power, form = (np.add.reduceat(v**2, starts) for v in values)
+            if np.sum(power[power > _FORM_ERROR**2 * form]) > 0.5 * np.sum(power):
+                return False
+    return True
+
+
+def _contribution(search: Search, adopted: Adopted, slot: Slot) -> Array:
+    """Return the cosine coefficients (n,) of what an adopted name explains in a slot."""
+    total = np.zeros(search.evidence.basis[slot].n)
+    for i in adopted.hypothesis.columns:
+        part = search.evidence.library.columns[i].parts.get(slot)
+        if part is not None:
+            total += float(search.fit.amplitude[search.fit.ids.index(i)]) * part
+    return total
 
 
 def _mostly_on(gains: Mapping[str, float], channel: str) -> bool:

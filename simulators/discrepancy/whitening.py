@@ -33,17 +33,18 @@ _WEIGHED = 200  # rounds
 ROUNDED_AT = (0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
-STATED, WHITE, SWAY, FLICKER, WIDE = range(5)
+STATED, WHITE, SWAY, FLICKER, WALK, WIDE = range(6)
 """Levels of the noise family: as the model states, or in its proportions; white and quantisation free; the rate of a
-mount that sways as well; or flicker as well; all free."""
+mount that sways as well (beside the model's proportions, where it gives them); or flicker as well; or a random walk;
+all free."""
 
 
 @dataclass(frozen=True)
 class Basis:
     """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms).
 
-    The first ``fast`` terms are white noise and rounding, the next is flicker. ``shape`` (b,): white noise, flicker and
-    random walk in the proportions of a model that leaves their size free.
+    The first ``fast`` terms are white noise and rounding, the next are flicker and random walk. ``shape`` (b,): white
+    noise, flicker and random walk in the proportions of a model that leaves their size free.
     """
 
     bounds: NDArray[np.int64]
@@ -64,7 +65,7 @@ class Basis:
     def terms(self, level: int) -> list[int]:
         """Return the terms that a level of the family leaves free."""
         sway = [place for place, name in enumerate(self.names) if name.startswith("sway")]
-        more = {SWAY: sway, FLICKER: [self.fast], WIDE: range(self.fast, len(self.names))}
+        more = {SWAY: sway, FLICKER: [self.fast], WALK: [self.fast + 1], WIDE: range(self.fast, len(self.names))}
         return [*range(self.fast), *more.get(level, ())]
 
     def stated(self, noise: ChannelNoise, floor: float, moved: Array | None = None) -> Array:
@@ -181,11 +182,11 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 7.0, 12.0, 14.0)
+PENALTY = (0.0, 3.0, 7.0, 12.0, 12.0, 14.0)
 """What each level costs [nats] where the model states its noise."""
-PENALTY_SHAPED = (0.0, 3.0, 7.0, 11.0, 13.0)
+PENALTY_SHAPED = (0.0, 6.0, 7.0, 11.0, 11.0, 13.0)
 """... where it states the proportions of its terms."""
-PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 6.0)
+PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 5.0, 6.0)
 
 
 def fit_noise(
@@ -215,7 +216,7 @@ def fit_noise(
     for level in range(first, WIDE + 1 if slow else first + 1):
         terms = basis.terms(level)
         columns = np.ascontiguousarray(basis.power[:, terms])
-        if level == STATED and shape is not None:
+        if level in (STATED, SWAY) and shape is not None:
             columns = np.column_stack([shape, columns[:, 1:]])
         variances = start / np.maximum(np.median(columns, axis=0), 1e-300)
         variances[1:] *= 0.1

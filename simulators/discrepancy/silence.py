@@ -1,0 +1,94 @@
+"""How wide a dead band is, read off the samples that it silenced and those beside them.
+
+The search compares means, for which the noise must be known: where it is larger, a wider band does the same to them. Each
+sample says more. Whether it is silent, and what it reads where it is not, depends on input, noise, width and the
+rounding that follows; of these, noise and width are found together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene
+from simulators.normal import density
+
+Array = NDArray[np.float64]
+
+_FEWEST = 5  # silent samples that say anything
+_NEAR, _FAR_SIGMAS = 2.0, 6.0  # widths and σ within which an input has to do with the band
+_ALIKE = 0.05  # σ within which inputs are taken for one
+_WIDTHS, _WIDEST = 81, 3.0  # tried, and by what factor they may be off what the means say
+_PASSES = 3
+_NOISES = np.geomspace(0.25, 4.0, 33)  # times the noise that the record shows, where it is not stated
+_SURE = 12.0  # nats below the best beyond which nothing counts
+_FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
+
+
+def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[float, float] | None:
+    """Return a dead band's half-width and its 1σ [y], by the likelihood of every sample near it.
+
+    ``about`` [y] is where to begin. None where hardly a sample is silent.
+
+    Rounding of an integral to steps reads an input of u steps as one of the two whole numbers beside it, the nearer
+    the likelier; the fraction at which a sample begins is taken to be any.
+    """
+    column = CHANNELS.index(channel)
+    sigma = max(float(scene.noise_sigma[column]) for scene in scenes)
+    counted = [_counted(scene, column, about, sigma) for scene in scenes]
+    inputs, readings, counts = (np.concatenate(part) for part in zip(*counted, strict=True))
+    if counts[readings == 0.0].sum() < _FEWEST:
+        return None
+    noises = _NOISES * sigma if scenes[0].model.noise.free else np.array([sigma])
+    step = max(getattr(scenes[0].model.noise, channel).quantisation / scenes[0].seen.interval_s, _FINEST * sigma)
+    low, high = about / _WIDEST, about * _WIDEST
+    for _ in range(_PASSES):
+        widths = np.linspace(low, high, _WIDTHS)
+        value = np.array(
+            [[_log_likelihood(inputs, readings, counts, step, noise, w) for w in widths] for noise in noises]
+        )
+        weight = np.exp(value - value.max())
+        near = widths[(value > value.max() - _SURE).any(axis=0)]
+        low, high = near[0] - (widths[1] - widths[0]), near[-1] + (widths[1] - widths[0])
+        noises = noises[(value > value.max() - _SURE).any(axis=1)]
+    share = weight.sum(axis=0) / weight.sum()
+    mean = float(share @ widths)
+    spread = float(np.sqrt(share @ (widths - mean) ** 2 + (widths[1] - widths[0]) ** 2 / 12.0))
+    return mean, spread
+
+
+def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Array, Array, Array]:
+    """Return inputs near the band, what was read, and how many samples of a recording were so."""
+    reading, acting = scene.measured[:, column], scene.acting(column)
+    near = ~scene.data.missing[:, column] & (np.abs(acting) < _NEAR * about + _FAR_SIGMAS * sigma)
+    if column < 3:
+        for rows, axis in scene.vibrations():
+            near &= ~(rows & (axis[column] != 0.0))
+    pairs = np.column_stack([np.round(acting[near] / (_ALIKE * sigma)), reading[near]])
+    unique, counts = np.unique(pairs, axis=0, return_counts=True)
+    return unique[:, 0] * _ALIKE * sigma, unique[:, 1], counts.astype(np.float64)
+
+
+def _log_likelihood(inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float) -> float:
+    """Return the log-likelihood [nats] of readings of inputs [y], rounded to steps [y] behind a dead band."""
+    size, towards = np.abs(readings), np.where(readings < 0.0, -inputs, inputs)
+    beyond = np.maximum(size - step, width)
+    read = _weighted(towards, sigma, beyond, size, size, -step) + _weighted(
+        towards, sigma, np.maximum(size, beyond), size + step, size, step
+    )
+    read += np.where(size < step, _weighted(-towards, sigma, width, step - size, -size, step), 0.0)
+    silent = ndtr((width - inputs) / sigma) - ndtr((-width - inputs) / sigma)
+    likely = np.where(size == 0.0, silent + read, read)
+    return float(counts @ np.log(np.maximum(likely, 1e-12)))
+
+
+def _weighted(mean: Array, sigma: float, low: Array | float, high: Array, peak: Array, slope: float) -> Array:
+    """Return ∫ (1 - (x - peak)/slope) N(x; mean, σ²) dx from low to high, nothing where high is below low."""
+    a, b = (np.asarray(end - mean) / sigma for end in (low, np.maximum(low, high)))
+    mass = ndtr(b) - ndtr(a)
+    moment = mean * mass - sigma * (density(b) - density(a))
+    return np.asarray(mass - (moment - peak * mass) / slope)
