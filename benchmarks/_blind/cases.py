@@ -14,7 +14,7 @@ from benchmarks._blind.hidden import Effect
 from benchmarks._blind.motion import Setup, add_sway, increments
 from benchmarks._blind.noise import Spectrum, quantise, sway, sway_density
 from benchmarks._blind.plans import Plan
-from benchmarks._blind.world import CHANNELS, World, index
+from benchmarks._blind.world import CHANNELS, index
 
 FAMILIES = ("reference", "gauss_markov", "heavy_tails", "noise_level", "near_copy", "gaps")
 """Where the prototype failed; ``plain`` is none of them."""
@@ -251,7 +251,7 @@ class _Draft:
             "number": self.number,
             "category": self.category,
             "family": self.family,
-            "effects": [_entry(e, size, self.world) for e, size in zip(effects, d, strict=True)],
+            "effects": [_entry(e, size) for e, size in zip(effects, d, strict=True)],
             "allowed": allowed,
             "motion": self.plan.motion,
             "climate": self.plan.climate,
@@ -276,6 +276,8 @@ class _Draft:
         effects, d, shifts = [], [], []
         for name, wanted in zip(self.names, self.sizes, strict=True):
             effect = hidden.draw(self.rng, name, self.world)
+            if name == "saturation":
+                effect = hidden.with_limit(effect, self._noiseless(self.world.inputs))
             if self.family == "near_copy":
                 sign = 1 if name in ("bias_step", "vibration_rectification") else self.rng.choice([-1, 1])
                 effect = replace(effect, twist=float(sign * self.rng.uniform(*_TWISTS[name])))
@@ -343,7 +345,8 @@ class _Draft:
             return lambda e: metric.size(world.inputs_of(world.moved(**hidden.setup_of(e, world))) - world.inputs)
         if name in ("axis_swap", "sign_flip", "unit_error"):
             return lambda e: metric.size(hidden.reframe(e, world, world.inputs) - world.inputs)
-        reading, channel = world.inputs + noise, index(effect.channel)
+        noiseless, channel = self._noiseless(world.inputs), index(effect.channel)
+        reading = noiseless + noise
 
         def sent(before: np.ndarray) -> np.ndarray:
             after = before.copy()
@@ -352,9 +355,9 @@ class _Draft:
 
         if name == "stuck_samples":
             usual = sent(reading)
-            return lambda e: metric.size(hidden.stuck_shift(e, world, usual))
+            return lambda e: metric.size(hidden.stuck_shift(e, world, usual, noiseless))
         sigma = self.spectra[channel].white / math.sqrt(world.dt)
-        return lambda e: metric.size(hidden.mean_read_out(e, world, sigma))
+        return lambda e: metric.size(hidden.mean_read_out(e, world, noiseless, sigma))
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = replace(self.world, setup=replace(self.world.setup, shakes=()))
@@ -401,12 +404,7 @@ class _Draft:
         whole = np.linalg.norm(left)
         basis = oracle.project(np.array([whiten(column) for column in table.T]), J)
         basis /= np.maximum(np.linalg.norm(basis, axis=1, keepdims=True), 1e-30)
-        chosen: list[int] = []
-        for _ in range(2):
-            chosen.append(int(np.argmax(np.abs(basis @ left))))
-            fit = basis[chosen].T
-            left = oracle.project(target, J) - fit @ np.linalg.lstsq(fit, oracle.project(target, J), rcond=None)[0]
-        return float(np.linalg.norm(left) / whole)
+        return float(math.sqrt(max(1 - _best_pair(basis, left / whole), 0.0)))
 
     # --- readings ------------------------------------------------------------------------------------------------
 
@@ -425,9 +423,7 @@ class _Draft:
                 inputs = hidden.delayed(effect, world)
         if self.sway is not None:
             inputs = self._swayed(inputs)
-        out = (inputs - self.bias) / self.scale
-        for channel, _, _, truth in self.known:
-            out[:, channel] += truth
+        out = self._noiseless(inputs)
         for effect in effects:
             if effect.name in hidden.SENSOR:
                 out += hidden.sensor_shift(effect, world)
@@ -451,6 +447,13 @@ class _Draft:
             if effect.name == "clock_scale":
                 stamps = stamps * (1 + effect.parameters["error"])
         return out, stamps
+
+    def _noiseless(self, inputs: np.ndarray) -> np.ndarray:
+        """Readings (n, 6) of inputs by the calibration and the biases that are known, nothing hidden in them."""
+        out = (inputs - self.bias) / self.scale
+        for channel, _, _, truth in self.known:
+            out[:, channel] += truth
+        return out
 
     def _swayed(self, inputs: np.ndarray) -> np.ndarray:
         """Inputs with the mount's small angles, of which the stated level is the mean."""
@@ -504,6 +507,14 @@ class _Draft:
         }
 
 
+def _best_pair(basis: np.ndarray, target: np.ndarray) -> float:
+    """Share of a target's (n,) square that the best two of m directions (m, n) explain together, all of length one."""
+    alike, along = basis @ basis.T, basis @ target
+    apart = 1 - alike**2
+    both = along[:, None] ** 2 + along**2 - 2 * alike * np.outer(along, along)
+    return float(np.max(np.where(apart > 1e-6, both / np.maximum(apart, 1e-6), along[:, None] ** 2)))
+
+
 def _noisier(spectrum: Spectrum, effect: Effect) -> Spectrum:
     """Noise with an effect's added in power; a coarser step replaces the step."""
     if effect.name == "quantisation":
@@ -532,15 +543,12 @@ def _search(effect: Effect, wanted: float, measure: Any, limit: float) -> tuple[
     raise Redraw
 
 
-def _entry(effect: Effect, size: float, world: World) -> dict[str, Any]:
+def _entry(effect: Effect, size: float) -> dict[str, Any]:
     """What the truth says of one effect, parameters as `docs/effects.md` names them."""
-    parameters = dict(effect.parameters)
-    if effect.name == "saturation":
-        parameters = {"limit": hidden.saturation_limit(effect, world)}
     return {
         "effect": effect.name,
         "channel": effect.channel,
-        "parameters": parameters,
+        "parameters": dict(effect.parameters),
         "twist": effect.twist,
         "d": size,
     }

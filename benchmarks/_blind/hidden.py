@@ -6,7 +6,7 @@ An effect is drawn with a direction and a unit size; the caller finds the multip
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -269,15 +269,14 @@ def read_out(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
     if effect.name == "dead_band":
         out[:, column] = np.where(np.abs(x) < effect.parameters["half_width"], 0.0, x)
     elif effect.name == "saturation":
-        limit = saturation_limit(effect, world)
-        out[:, column] = np.clip(x, -limit, limit)
+        out[:, column] = np.clip(x, -effect.parameters["limit"], effect.parameters["limit"])
     else:
         out[:, column] = quantise(x, world.dt, effect.parameters["step"], 0.3)
     return out
 
 
-def mean_read_out(effect: Effect, world: World, sigma: float) -> np.ndarray:
-    """What a readout effect adds to the readings (n, 6) in the mean over white noise of 1σ in every sample.
+def mean_read_out(effect: Effect, world: World, reading: np.ndarray, sigma: float) -> np.ndarray:
+    """What a readout effect adds to noiseless readings (n, 6) in the mean over white noise of 1σ in every sample.
 
     All that somebody who knows the effect can foretell of it: what it does to one sample hangs on that sample's noise.
     """
@@ -285,14 +284,15 @@ def mean_read_out(effect: Effect, world: World, sigma: float) -> np.ndarray:
     draws = sigma * ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     total = np.zeros((world.count, 6))
     for error in draws:
-        noisy = world.inputs + error
+        noisy = reading + error
         total[:, column] += (read_out(effect, world, noisy) - noisy)[:, column]
     return total / _QUANTILES
 
 
-def saturation_limit(effect: Effect, world: World) -> float:
-    """The limit, ``depth`` below the largest input."""
-    return float(np.abs(world.inputs[:, index(effect.channel)]).max() * (1 - min(effect.parameters["depth"], 0.9)))
+def with_limit(effect: Effect, reading: np.ndarray) -> Effect:
+    """A saturation with its limit, ``depth`` below the largest of the noiseless readings (n, 6)."""
+    largest = float(np.abs(reading[:, index(effect.channel)]).max())
+    return replace(effect, parameters={"limit": largest * (1 - min(effect.parameters["depth"], 0.9))})
 
 
 def reframe(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
@@ -321,9 +321,9 @@ def stuck_rows(effect: Effect, world: World) -> np.ndarray:
     return np.flatnonzero((stamps >= start) & (stamps < start + effect.parameters["duration"]))
 
 
-def stuck_shift(effect: Effect, world: World, reading: np.ndarray) -> np.ndarray:
-    """What stuck samples add to the input (n, 6): what each would have read by its noise nobody can know."""
+def stuck_shift(effect: Effect, world: World, reading: np.ndarray, noiseless: np.ndarray) -> np.ndarray:
+    """What stuck samples add to noiseless readings (n, 6): what each would have read by its noise nobody can know."""
     rows, column = stuck_rows(effect, world), index(effect.channel)
     out = np.zeros((world.count, 6))
-    out[rows, column] = (reframe(effect, world, reading) - world.inputs)[rows, column]
+    out[rows, column] = (reframe(effect, world, reading) - noiseless)[rows, column]
     return out

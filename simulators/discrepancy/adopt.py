@@ -299,7 +299,7 @@ class Searcher:
         picked: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
         for noise in (current.noise, quiet):
             look = Look(self.evidence, current, noise)
-            gains = np.array([look.gain(h) for h in pool])
+            gains = look.gains(pool)
             scores = np.array(
                 [bayes_factor(g, len(h.columns), self._places(h)) for g, h in zip(gains, pool, strict=True)]
             )

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
@@ -31,6 +32,7 @@ _RIDGE = 1e-11
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _MANY = 64
 _APART = 1e-3  # squared sine between two columns that are tried together
+_LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
 _NOTHING = 1e-7  # share of a column's power
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
@@ -81,6 +83,7 @@ class Evidence:
         self._with_residual: dict[Slot, Array] = {}
         self._residual2: dict[Slot, Array] = {}
         self._extra: dict[tuple[Slot, int, int], Array] = {}
+        self._late: dict[tuple[Slot, int], Array] = {}
         for slot in library.residual:
             self._gather(slot)
         self.prior = {i: sigma for i, sigma in library.nuisance if self._felt(i, sigma)}
@@ -259,6 +262,15 @@ class Evidence:
             self._stacks[slot] = ids, np.column_stack(parts) if parts else np.zeros((self.basis[slot].n, 0))
         return self._stacks[slot]
 
+    def late_products(self, slot: Slot, i: int) -> Array:
+        """Return binned products (bins, m) of a late column with a slot's first columns, in their local order."""
+        key = (slot, i)
+        if key not in self._late:
+            part, bounds = self.library.columns[i].parts[slot], self.basis[slot].bounds[:-1]
+            firsts = np.column_stack([self.library.columns[j].parts[slot] for j in self._local[slot]])
+            self._late[key] = np.add.reduceat(firsts * part[:, None], bounds, axis=0)
+        return self._late[key]
+
     def local(self, slot: Slot) -> dict[int, int]:
         """Return the places of the library's first columns within a slot."""
         return self._local[slot]
@@ -427,14 +439,32 @@ class Look:
         unit[np.diag_indices(k)] += _RIDGE
         self._inverse = np.linalg.inv(unit) / np.outer(scale, scale) if k else unit
         self._amplitude = self._inverse @ right
-        self._weighted: dict[Slot, tuple[Array, Array]] = {}
+        self._grams: dict[Slot, Array] = {}
         self._each: dict[Slot, Array] = {}
-        self._among: dict[Slot, tuple[list[int], list[int]]] = {}
+
+    def gains(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Return by how much each hypothesis raises the log-likelihood [nats]."""
+        gains = np.zeros(len(hypotheses))
+        alone = [place for place, h in enumerate(hypotheses) if self._is_plain(h)]
+        gains[alone] = self._alone[[hypotheses[place].columns[0] for place in alone]]
+        for place in set(range(len(hypotheses))) - set(alone):
+            gains[place] = self.gain(hypotheses[place])
+        return gains
+
+    def _is_plain(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis is one free column of the library's first."""
+        return (
+            len(hypothesis.columns) == 1
+            and hypothesis.columns[0] < self.evidence.base
+            and not hypothesis.unit_amplitude
+        )
 
     def gain(self, hypothesis: Hypothesis) -> float:
         """Return by how much a hypothesis raises the log-likelihood [nats]."""
         if any(i in self.active for i in hypothesis.columns):
             return 0.0
+        if self._is_plain(hypothesis):
+            return float(self._alone[hypothesis.columns[0]])
         own, score, cross = self._products(hypothesis.columns)
         left = score - cross @ self._amplitude
         inside = own - cross @ self._inverse @ cross.T
@@ -442,10 +472,10 @@ class Look:
             return float(np.sum(left) - 0.5 * np.sum(inside))
         if len(left) == 1:
             whole, rest = float(own[0, 0]), float(inside[0, 0])
-            return 0.5 * float(left[0]) ** 2 / rest if rest > 1e-7 * whole else 0.0
+            return 0.5 * float(left[0]) ** 2 / rest if rest > _LEFT_OVER * whole else 0.0
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(inside / np.outer(size, size))
-        seen = values > 1e-7
+        seen = values > _LEFT_OVER
         along = (vectors.T @ (left / size))[seen]
         return 0.5 * float(np.sum(along**2 / values[seen]))
 
@@ -457,7 +487,7 @@ class Look:
         left = score - cross @ self._amplitude
         inside = own - cross @ self._inverse @ cross.T
         size = np.sqrt(np.maximum(np.diag(inside), 1e-300))
-        seen = np.diag(inside) > 1e-7 * np.diag(own)
+        seen = np.diag(inside) > _LEFT_OVER * np.diag(own)
         along = np.where(seen, left / size, 0.0)
         alike = inside / np.outer(size, size)
         apart = 1.0 - alike**2
@@ -465,31 +495,51 @@ class Look:
         told = (apart > _APART) & np.outer(seen, seen)
         return np.asarray(np.where(told, 0.5 * both / np.maximum(apart, _APART), 0.0))
 
-    def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
-        k = len(ids)
-        own, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((k, len(self.active)))
-        evidence = self.evidence
-        for slot in evidence.touched(ids):
+    @cached_property
+    def _alone(self) -> Array:
+        """What each of the library's first columns would gain by itself (base,)."""
+        whole, score, cross = self._first
+        left = score - cross @ self._amplitude
+        rest = whole - np.einsum("ij,ij->i", cross @ self._inverse, cross)
+        gains = np.zeros(self.evidence.base)
+        told = rest > _LEFT_OVER * whole
+        gains[told] = 0.5 * left[told] ** 2 / rest[told]
+        gains[[i for i in self.active if i < self.evidence.base]] = 0.0
+        return gains
+
+    @cached_property
+    def _first(self) -> tuple[Array, Array, Array]:
+        """Of the library's first: power (base,), products with the residual (base,) and the active ones (base, k)."""
+        evidence, base = self.evidence, self.evidence.base
+        whole, score, cross = np.zeros(base), np.zeros(base), np.zeros((base, len(self.active)))
+        for slot in evidence.slots:
             local = evidence.local(slot)
-            weight = self._weight[slot]
-            if any(i >= evidence.base for i in ids):
-                self._add_late(slot, ids, own, score, cross)
-                continue
-            if slot not in self._weighted:
-                self._weighted[slot] = evidence.weighted(slot, weight)
-                here = [place for place, i in enumerate(self.active) if i in local]
-                self._among[slot] = here, [local[self.active[place]] for place in here]
-            gram2, with_residual1 = self._weighted[slot]
-            mine = [p for p, i in enumerate(ids) if i in local]
-            where = [local[ids[p]] for p in mine]
-            own[np.ix_(mine, mine)] += gram2[where][:, where]
-            score[mine] += with_residual1[where]
-            here, there = self._among[slot]
-            cross[np.ix_(mine, here)] += gram2[np.ix_(where, there)]
-            for column, i in enumerate(self.active):
-                if i >= evidence.base:
-                    for p, j in enumerate(ids):
-                        cross[p, column] += float(weight @ evidence.product(slot, i, j))
+            ids = np.fromiter(local, dtype=np.int64)
+            gram, with_residual = evidence.weighted(slot, self._weight[slot])
+            self._grams[slot] = gram
+            whole[ids] += np.diag(gram)
+            score[ids] += with_residual
+            for place, i in enumerate(self.active):
+                if i in local:
+                    cross[ids, place] += gram[:, local[i]]
+                elif slot in evidence.library.columns[i].parts:
+                    cross[ids, place] += self._weight[slot] @ evidence.late_products(slot, i)
+        return whole, score, cross
+
+    def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
+        k, evidence = len(ids), self.evidence
+        _, first_score, first_cross = self._first
+        if all(i < evidence.base for i in ids):
+            own = np.zeros((k, k))
+            for slot in evidence.touched(ids):
+                local = evidence.local(slot)
+                mine = [place for place, i in enumerate(ids) if i in local]
+                where = [local[ids[place]] for place in mine]
+                own[np.ix_(mine, mine)] += self._grams[slot][np.ix_(where, where)]
+            return own, first_score[list(ids)], first_cross[list(ids)]
+        own, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((k, len(self.active)))
+        for slot in evidence.touched(ids):
+            self._add_late(slot, ids, own, score, cross)
         return own, score, cross
 
     def _add_late(self, slot: Slot, ids: Sequence[int], own: Array, score: Array, cross: Array) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
-from simulators.discrepancy.adopt import TIE, Adopted, Search, Searcher
+from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import Clipped, find_clipped
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
@@ -25,6 +25,7 @@ from simulators.discrepancy.next_recording import propose, propose_longer, propo
 from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
+from simulators.discrepancy.single_sample import gains_but_one
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
@@ -182,14 +183,26 @@ def _kept(search: Search, held: HeldOut) -> tuple[list[Adopted], list[dict[str, 
     """Keep the names that predict what their fit did not see; say of the others why not."""
     named, rejected = [], []
     for adopted in search.of_kind(Kind.NAMED):
-        gained = held.gained(adopted.hypothesis.columns)
-        if gained > 0.0 or adopted.hypothesis.unit_amplitude:
+        reason = _refused(adopted.hypothesis, search, held)
+        if reason is None:
             named.append(adopted)
         else:
             h = adopted.hypothesis
-            reason = f"does not predict held-out data better (by {gained:.1f} in χ²)"
             rejected.append({"effect": h.effect, "channel": h.channel, "reason": reason})
     return named, rejected
+
+
+def _refused(h: Hypothesis, search: Search, held: HeldOut) -> str | None:
+    """Say why a name is not to be kept; none: it is."""
+    if h.unit_amplitude:
+        return None
+    gained = held.gained(h.columns)
+    if gained <= 0.0:
+        return f"does not predict held-out data better (by {gained:.1f} in χ²)"
+    whole, but_one = gains_but_one(search.evidence, h, search.fit)
+    if but_one < min(0.5 * whole, MARGIN + len(h.columns)):
+        return f"rests on a single sample (without it {but_one:.1f} of {whole:.1f} nats are left)"
+    return None
 
 
 def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
@@ -376,7 +389,7 @@ def _noise_document(search: Search) -> dict[str, Any]:
     for slot in search.evidence.slots:
         power, basis = search.fit.noise[slot].power, search.evidence.basis[slot]
         white = math.sqrt(float(np.median(power[len(power) // 2 :])) * basis.interval_s)
-        level = ("stated", "white", "sway", "flicker", "coloured")[search.fit.noise[slot].level]
+        level = ("stated", "white", "sway", "flicker", "walk", "coloured")[search.fit.noise[slot].level]
         document[f"{slot[0]}:{CHANNELS[slot[1]]}"] = {"white": white, "level": level}
     return document
 

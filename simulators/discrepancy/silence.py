@@ -1,7 +1,7 @@
 """How wide a dead band is, read off the samples that it silenced and those beside them.
 
-The search compares means, for which the noise must be known: where it is larger, a wider band does the same to them. Each
-sample says more. Whether it is silent, and what it reads where it is not, depends on input, noise, width and the
+The search compares means, for which the noise must be known: where it is larger, a wider band does the same to them.
+Each sample says more. Whether it is silent, and what it reads where it is not, depends on input, noise, width and the
 rounding that follows; of these, noise and width are found together.
 """
 

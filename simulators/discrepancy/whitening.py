@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,20 @@ class Basis:
         sway = [place for place, name in enumerate(self.names) if name.startswith("sway")]
         more = {SWAY: sway, FLICKER: [self.fast], WALK: [self.fast + 1], WIDE: range(self.fast, len(self.names))}
         return [*range(self.fast), *more.get(level, ())]
+
+    @cached_property
+    def families(self) -> dict[tuple[int, bool], tuple[Array, Array]]:
+        """Return of each level, with the model's proportions and without, the columns (b, k) and their medians (k,)."""
+        found = {}
+        for level in range(WIDE + 1):
+            free = np.ascontiguousarray(self.power[:, self.terms(level)])
+            found[level, False] = free, np.median(free, axis=0)
+            if self.shape is not None:
+                shaped = free
+                if level in (STATED, SWAY):
+                    shaped = np.column_stack([self.shape, free[:, 1:]])
+                found[level, True] = shaped, np.median(shaped, axis=0)
+        return found
 
     def stated(self, noise: ChannelNoise, floor: float, moved: Array | None = None) -> Array:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
@@ -182,11 +196,11 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 7.0, 12.0, 12.0, 14.0)
+PENALTY = (0.0, 3.0, 7.0, 12.0, 14.0, 14.0)
 """What each level costs [nats] where the model states its noise."""
-PENALTY_SHAPED = (0.0, 6.0, 7.0, 11.0, 11.0, 13.0)
+PENALTY_SHAPED = (0.0, 6.0, 7.0, 11.0, 13.0, 13.0)
 """... where it states the proportions of its terms."""
-PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 5.0, 6.0)
+PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, 6.0, 6.0)
 
 
 def fit_noise(
@@ -214,11 +228,8 @@ def fit_noise(
     start = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor[high].max()) + 1e-300)
     first = STATED if shape is not None else WHITE
     for level in range(first, WIDE + 1 if slow else first + 1):
-        terms = basis.terms(level)
-        columns = np.ascontiguousarray(basis.power[:, terms])
-        if level in (STATED, SWAY) and shape is not None:
-            columns = np.column_stack([shape, columns[:, 1:]])
-        variances = start / np.maximum(np.median(columns, axis=0), 1e-300)
+        columns, typical = basis.families[level, shape is not None]
+        variances = start / np.maximum(typical, 1e-300)
         variances[1:] *= 0.1
         _climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
         power = floor + columns @ variances
