@@ -148,6 +148,20 @@ def test_the_container_is_built_of_what_is_there_and_runs_without_rights() -> No
         assert "privileged" not in service
 
 
+def test_the_health_check_outlives_an_image_format_that_knows_none() -> None:
+    """podman builds in a format without health checks unless told otherwise, and only warns."""
+    text = (DEPLOY / "container" / "Containerfile").read_text().replace("\\\n", " ")
+    assert compose()["service"]["healthcheck"]["test"] == ["CMD", *health_check()]
+    for name, option in (("interval", "interval"), ("timeout", "timeout"), ("start_period", "start-period")):
+        assert f"--{option}={compose()['service']['healthcheck'][name]}" in text
+    for page in ("docs/install.md", "deploy/container/Containerfile"):
+        commands = re.findall(r"podman build .*", (ROOT / page).read_text())
+        assert commands
+        assert all("--format docker" in command for command in commands), page
+    # Without a registry in its name an image is only found where the host lists where to look.
+    assert all(name.startswith("docker.io/") for name in re.findall(r"^FROM (\S+)", text, re.MULTILINE))
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel in an environment of its own; what it depends on is lent, nothing else is there."""
