@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -22,6 +22,8 @@ from service.campaign.spec import Campaign
 from service.errors import RefusedInput
 
 KEY = b"inertrim.campaign"
+GROUP_ROWS = 50_000
+"""Rows that the final file keeps together: what Parquet notes of one group takes more room than ten trials."""
 
 
 class Chunks:
@@ -106,8 +108,8 @@ class Chunks:
         schema = pq.read_schema(self._path(0)).with_metadata({KEY: json.dumps(self._facts, sort_keys=True).encode()})
         with _written(part):
             with pq.ParquetWriter(part, schema, compression="zstd") as writer:
-                for chunk in range(self.count):
-                    writer.write_table(pq.read_table(self._path(chunk)).replace_schema_metadata(schema.metadata))
+                for group in _groups(pq.read_table(self._path(chunk)) for chunk in range(self.count)):
+                    writer.write_table(group.replace_schema_metadata(schema.metadata))
             with part.open("rb") as file:
                 os.fsync(file.fileno())
             part.replace(self._out)
@@ -157,6 +159,20 @@ def _write_whole(path: Path, content: bytes | pa.Buffer) -> None:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
+
+
+def _groups(tables: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Yield the same rows in tables of some ``GROUP_ROWS``, holding no more than one."""
+    held: list[pa.Table] = []
+    rows = 0
+    for table in tables:
+        held.append(table)
+        rows += len(table)
+        if rows >= GROUP_ROWS:
+            yield pa.concat_tables(held).combine_chunks()
+            held, rows = [], 0
+    if held:
+        yield pa.concat_tables(held).combine_chunks()
 
 
 @contextmanager

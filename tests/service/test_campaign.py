@@ -168,6 +168,21 @@ def test_parts_that_a_kill_left_beside_the_file_are_cleared(tmp_path: Path) -> N
     assert not (tmp_path / "out.parquet.parts").exists()
 
 
+def test_the_file_keeps_many_chunks_together_in_the_order_of_trials(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.campaign.chunks.GROUP_ROWS", 3)
+    spec, out = read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet"
+    chunks = Chunks(spec, out)
+    with chunks.held():
+        for chunk in reversed(range(chunks.count)):
+            chunks.save(chunk, pa.table({"trial": [chunk]}))
+        chunks.finish()
+    groups = pq.read_metadata(out)
+    assert [groups.row_group(k).num_rows for k in range(groups.num_row_groups)] == [3, 3, 2]
+    assert pq.read_table(out).column("trial").to_pylist() == list(range(8))
+
+
 def test_the_command_line_refuses_with_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         sys, "argv", ["inertrim", "campaign", str(tmp_path / "none.toml"), "--out", str(tmp_path / "o")]
