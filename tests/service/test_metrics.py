@@ -31,6 +31,8 @@ from service.estimation import RunPlan, final_result, keep_recording, terms_so_f
 from service.logs import configure_logs, correlate
 from service.orders import Estimate, Keep
 from service.run_folder import RunFolder
+from service.security.roles import Role
+from service.security.tokens import make_token
 from service.sequencer import RunContext
 
 BASE_UNITS = (
@@ -265,6 +267,20 @@ def test_labels_that_rules_ask_for_exist(service: Serving) -> None:
     asked = set(re.findall(r'\b(state|route|queue|target)=\\?"([^"\\]+)\\?"', text))
     assert asked
     assert asked <= told
+
+
+def test_a_service_with_tokens_takes_the_one_that_the_scrape_configuration_shows(tmp_path: Path) -> None:
+    commented = (DEPLOY / "prometheus" / "prometheus.yml").read_text().replace("# authorization", "authorization")
+    (job,) = yaml.safe_load(commented.replace("# scheme", "scheme"))["scrape_configs"]
+    assert (set(job["authorization"]), job["scheme"]) == ({"credentials_file"}, "https")
+    with serving(settings_for(tmp_path)) as (controller, client):
+        token, record = make_token("prometheus", Role.VIEWER)
+        controller.store.add_token(record)
+        deadline_s = time.monotonic() + 10.0
+        while client.get(job["metrics_path"]).status_code != 401:  # the service looks every two seconds
+            assert time.monotonic() < deadline_s
+        given = {"Authorization": f"Bearer {token}"}  # Prometheus' own scheme where no type is named
+        assert client.get(job["metrics_path"], headers=given).status_code == 200
 
 
 @pytest.fixture
