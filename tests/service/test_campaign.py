@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import distributed
 import numpy as np
 import psutil
 import pyarrow as pa
@@ -137,6 +138,21 @@ def test_an_address_that_is_none_is_refused_at_once_and_leaves_nothing(tmp_path:
         run_campaign(read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet", scheduler="nonsense")
     assert time.monotonic() - began_s < 20.0  # a client that was half made took 40 s to end
     assert not list(tmp_path.glob("out*"))
+
+
+def test_a_cluster_that_is_there_already_gives_the_same(tmp_path: Path) -> None:
+    spec, out = read_campaign(spec_at(tmp_path, GRID), trials=2), tmp_path / "out.parquet"
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        dashboard_address=None,
+        local_directory=str(tmp_path / "scratch"),
+    ) as cluster:
+        done = run_campaign(spec, out, scheduler=cluster.scheduler_address)
+        assert not list((tmp_path / "scratch").rglob("inertrim-trial-*"))
+    assert (done.now, done.workers) == (2, 2)
+    expected = _in_one_go(spec.text(), 2)
+    assert untimed(pq.read_table(out).replace_schema_metadata(None)).equals(untimed(expected))
 
 
 def test_a_full_disk_is_told_and_leaves_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
