@@ -48,6 +48,7 @@ long: $(PEERS)
 # Pins every dependency, with hashes and without addresses, for all supported interpreters (needs `uv`).
 lock:
 	$(COMPILE) --extra test --extra lint --extra mcap --extra postgres --extra cluster --extra build --output-file requirements.lock
+	$(COMPILE) --extra mcap --extra postgres --extra cluster --extra build --constraint requirements.lock --output-file requirements-service.lock
 	$(COMPILE) --all-extras --constraint requirements.lock --output-file requirements-bench.lock
 
 clean:

@@ -48,6 +48,14 @@ def backup(settings: StoreSettings, out: Path) -> tuple[Path, dict[str, Any]]:
     return out, manifest
 
 
+def clear_older(folder: Path, keep: int) -> list[Path]:
+    """Remove the backups named by their time in a folder, the newest so many excepted, and return what was removed."""
+    older = sorted(folder.glob("inertrim-????????T??????Z.backup"))[:-keep]
+    for path in older:
+        path.unlink()
+    return older
+
+
 def restore(settings: StoreSettings, path: Path, who: str) -> dict[str, Any]:
     """Put a backup where the settings say that the store is, and return its manifest.
 

@@ -1,4 +1,7 @@
-"""What becomes of a run's samples: estimated, written, reported. All of it work for :mod:`service.side_process`."""
+"""What becomes of a run's samples: estimated, written, reported. All of it work for :mod:`service.side_process`.
+
+Each piece marks the lines that its process writes with its run, as the service marks its own.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from drivers.recording_meta import RecordingMeta
 from inertial.documents import Result, StageTerms
 from service.compensate import compensate, partial
 from service.config import BlockSettings, LogSettings, ReferenceSettings, SiteSettings
-from service.logs import configure_logs
+from service.logs import configure_logs, correlate
 from service.orders import Estimate, Keep
 from service.report import render
 from service.run_folder import RunFolder, recording_meta, write_whole
@@ -39,6 +42,7 @@ def prepare(log: LogSettings) -> None:
 
 def terms_so_far(plan: RunPlan, order: Estimate) -> dict[str, StageTerms]:
     """Return the terms after each stage whose window is full."""
+    correlate(plan.folder.run_id)
     path = plan.folder.recording  # where the windows so far would stand; nothing is written for progress
     recording = Recording(order.samples, plan.meta(order), path, path.with_suffix(".toml"))
     return partial(recording, order.windows, method=plan.method)
@@ -46,17 +50,20 @@ def terms_so_far(plan: RunPlan, order: Estimate) -> dict[str, StageTerms]:
 
 def final_result(plan: RunPlan, order: Estimate) -> Result:
     """Write the run's recording and return what is found from it."""
+    correlate(plan.folder.run_id)
     return compensate(plan.folder.write_recording(order.samples, plan.meta(order)), method=plan.method)
 
 
 def keep_recording(plan: RunPlan, order: Keep) -> None:
     """Write the recording of a run that has no result."""
+    correlate(plan.folder.run_id)
     if len(order.samples) > 1:
         plan.folder.write_recording(order.samples, plan.meta(order))
 
 
 def write_result(folder: RunFolder, result: Result) -> str:
     """Write result and report, and return the result's document."""
+    correlate(folder.run_id)
     document = result.canonical_json()
     write_whole(folder.result, document)
     write_whole(folder.report, render(result))

@@ -31,6 +31,7 @@ def configure_logs(settings: LogSettings, stream: TextIO | None = None) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(settings.level.upper())
+    logging.captureWarnings(True)  # Python's own warnings too: two bare lines of text are no JSON
     for quiet in ("alembic", "httpx", "uvicorn.access"):
         logging.getLogger(quiet).setLevel(logging.WARNING)
     structlog.configure(

@@ -25,6 +25,11 @@ class RunFolder:
         self.path = runs / run_id
 
     @property
+    def run_id(self) -> str:
+        """The run whose folder it is."""
+        return self.path.name
+
+    @property
     def capture(self) -> Path:
         """Raw bytes off the line with their arrival times."""
         return self.path / "capture.raw"

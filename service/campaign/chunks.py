@@ -6,10 +6,12 @@ final file is made from the chunks in the order of their trials, whoever worked 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,6 +22,8 @@ from service.campaign.spec import Campaign
 from service.errors import RefusedInput
 
 KEY = b"inertrim.campaign"
+GROUP_ROWS = 50_000
+"""Rows that the final file keeps together: what Parquet notes of one group takes more room than ten trials."""
 
 
 class Chunks:
@@ -38,6 +42,12 @@ class Chunks:
         # Another version may compute otherwise: its chunks and ours do not make one result.
         self._facts = {"campaign": spec.digest(), "software": f"inertrim {version('inertrim')}"}
         self.finished = self._is_ours()
+        self._check_parts()
+
+    @property
+    def scratch(self) -> Path:
+        """Return where workers of this machine leave what they need for a moment; it goes with the parts."""
+        return self._folder / "scratch"
 
     @property
     def count(self) -> int:
@@ -58,19 +68,33 @@ class Chunks:
         """Return how many trials are finished."""
         return self._spec.trials - sum(self.span(chunk)[1] for chunk in self.missing())
 
-    def begin(self) -> None:
-        """Make the folder, or go on with one of the same campaign."""
-        if not self._folder.is_dir():
-            self._folder.mkdir()
-        mark = self._folder / "campaign.json"
-        if not mark.is_file():
-            _write_whole(
-                mark, json.dumps({**self._facts, "spec": self._spec.model_dump(mode="json")}, indent=1).encode()
-            )
-        found = json.loads(mark.read_bytes())
-        if any(found.get(name) != fact for name, fact in self._facts.items()):
-            remedy = "Go on with the specification it began with, remove that folder, or name another --out."
-            raise RefusedInput(str(self._folder), "holds the parts of another campaign or version.", remedy)
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder of the parts, made anew or gone on with, against every other call.
+
+        The system takes the hold from a call that is killed. A folder without a finished chunk is not left behind.
+
+        Raises
+        ------
+        RefusedInput
+            Another call holds it.
+        """
+        self._folder.mkdir(exist_ok=True)
+        with (self._folder / "lock").open("ab") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                remedy = "Wait for that one, end it, or name another --out."
+                raise RefusedInput(str(self._folder), "another call works on this campaign.", remedy) from None
+            self._check_parts()
+            if not self._mark.is_file():
+                content = {**self._facts, "spec": self._spec.model_dump(mode="json")}
+                _write_whole(self._mark, json.dumps(content, indent=1).encode())
+            try:
+                yield
+            finally:
+                if next(self._folder.glob("*.parquet"), None) is None:
+                    self.clear()
 
     def save(self, chunk: int, table: pa.Table) -> None:
         """Keep a finished chunk."""
@@ -82,14 +106,24 @@ class Chunks:
         """Put the chunks together in order, then clear them away."""
         part = self._out.with_name(f".{self._out.name}.part")
         schema = pq.read_schema(self._path(0)).with_metadata({KEY: json.dumps(self._facts, sort_keys=True).encode()})
-        with pq.ParquetWriter(part, schema, compression="zstd") as writer:
-            for chunk in range(self.count):
-                writer.write_table(pq.read_table(self._path(chunk)).replace_schema_metadata(schema.metadata))
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        part.replace(self._out)
-        shutil.rmtree(self._folder)
+        with _written(part):
+            with pq.ParquetWriter(part, schema, compression="zstd") as writer:
+                for group in _groups(pq.read_table(self._path(chunk)) for chunk in range(self.count)):
+                    writer.write_table(group.replace_schema_metadata(schema.metadata))
+            with part.open("rb") as file:
+                os.fsync(file.fileno())
+            part.replace(self._out)
         self.finished = True
+        self.clear()
+
+    def clear(self) -> None:
+        """Clear our parts away; nothing happens where there are none."""
+        if self._mark.is_file():
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    @property
+    def _mark(self) -> Path:
+        return self._folder / "campaign.json"
 
     def _path(self, chunk: int) -> Path:
         return self._folder / f"{chunk:09d}.parquet"
@@ -107,11 +141,46 @@ class Chunks:
             raise RefusedInput(str(self._out), "exists and is not the result of this campaign.", remedy)
         return True
 
+    def _check_parts(self) -> None:
+        """Refuse parts that are another's."""
+        if not self._mark.is_file():
+            return
+        found = json.loads(self._mark.read_bytes())
+        if any(found.get(name) != fact for name, fact in self._facts.items()):
+            remedy = "Go on with the specification it began with, remove that folder, or name another --out."
+            raise RefusedInput(str(self._folder), "holds the parts of another campaign or version.", remedy)
+
 
 def _write_whole(path: Path, content: bytes | pa.Buffer) -> None:
     part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    with _written(part):
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+
+
+def _groups(tables: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Yield the same rows in tables of some ``GROUP_ROWS``, holding no more than one."""
+    held: list[pa.Table] = []
+    rows = 0
+    for table in tables:
+        held.append(table)
+        rows += len(table)
+        if rows >= GROUP_ROWS:
+            yield pa.concat_tables(held).combine_chunks()
+            held, rows = [], 0
+    if held:
+        yield pa.concat_tables(held).combine_chunks()
+
+
+@contextmanager
+def _written(part: Path) -> Iterator[None]:
+    """Say what to do where the disk does not take a file, and leave no half of it."""
+    try:
+        yield
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        remedy = "Make room, then call again: what was finished is kept."
+        raise RefusedInput(str(part), f"cannot be written ({error.strerror or error}).", remedy) from None

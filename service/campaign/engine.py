@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import logging
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -87,16 +86,23 @@ def run_campaign(
         A chunk failed, or killed every worker that tried it.
     """
     chunks = Chunks(spec, out)
-    tell = progress or _silent
     if chunks.finished:
+        chunks.clear()  # a kill may have come between the file and this
         return Done(spec.trials, 0, 0.0, 0, 0, None)
     distributed = _distributed()
-    chunks.begin()
+    with chunks.held():
+        return _worked_out(distributed, spec, chunks, workers, scheduler, progress or _silent)
+
+
+def _worked_out(
+    distributed: Any, spec: Campaign, chunks: Chunks, workers: int | None, scheduler: str | None, tell: Progress
+) -> Done:
+    """Work out the chunks that are missing and put all of them together."""
     before = chunks.trials_done()
     tell(before, spec.trials)
     began, pace, moved, size = time.monotonic(), _Pace(), 0, 0
     if before < spec.trials:
-        with _client(distributed, workers, scheduler) as client:
+        with _client(distributed, workers, scheduler, chunks.scratch) as client:
             size = max(1, len(client.nthreads()))
             done = before
             for chunk, answer in _answers(distributed, client, spec, chunks):
@@ -121,12 +127,21 @@ def run_chunk(text: str, first: int, count: int) -> bytes:
     else:
         from service.campaign.trial import COLUMNS, run_trial
 
-        rows = [run_trial(spec, trial) for trial in range(first, first + count)]
+        scratch = _scratch()
+        rows = [run_trial(spec, trial, scratch) for trial in range(first, first + count)]
         table = pa.Table.from_pylist(rows, schema=COLUMNS)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as writer:
         writer.write_table(table)
     return bytes(sink.getvalue())
+
+
+def _scratch() -> str | None:
+    """Return the folder of the worker that this runs in, which dask clears once the worker has died; None: in none."""
+    try:
+        return str(importlib.import_module("distributed").get_worker().local_directory)
+    except (ImportError, ValueError):
+        return None
 
 
 class _Pace:
@@ -178,18 +193,17 @@ def _answers(distributed: Any, client: Any, spec: Campaign, chunks: Chunks) -> I
 
 
 @contextmanager
-def _client(distributed: Any, workers: int | None, scheduler: str | None) -> Iterator[Any]:
-    """Give a client of a running cluster: a local one, or the one at an address."""
+def _client(distributed: Any, workers: int | None, scheduler: str | None, scratch: Path) -> Iterator[Any]:
+    """Give a client of a running cluster: a local one with its files in ``scratch``, or the one at an address."""
     import dask
 
-    logging.getLogger("distributed").setLevel(logging.ERROR)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told once, by us
     with ExitStack() as stack:
         settings = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in KEEP_MEMORY.items()}
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, **settings}))
         if scheduler is not None:
             yield stack.enter_context(_connected(distributed, scheduler))
             return
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="inertrim-dask-"))
         cluster = stack.enter_context(
             distributed.LocalCluster(
                 n_workers=workers or os.cpu_count() or 1,
@@ -197,7 +211,7 @@ def _client(distributed: Any, workers: int | None, scheduler: str | None) -> Ite
                 processes=True,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
-                local_directory=folder,
+                local_directory=str(scratch),
             )
         )
         yield stack.enter_context(distributed.Client(cluster, set_as_default=False))
@@ -205,6 +219,7 @@ def _client(distributed: Any, workers: int | None, scheduler: str | None) -> Ite
 
 def _connected(distributed: Any, scheduler: str) -> Any:
     try:
+        distributed.comm.get_address_host_port(scheduler)  # a client that was only half made takes a minute to end
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = f"{scheduler} does not answer as a dask scheduler ({error})."

@@ -37,7 +37,7 @@ COLUMNS = pa.schema(
 
 def run_reanalysis(spec: Campaign, trial: int) -> dict[str, Any]:
     """Analyse one subject; a recording that cannot be used is a row that says why."""
-    subject = spec.subjects[trial % len(spec.subjects)]
+    subject = spec.subjects[trial]
     row: dict[str, Any] = {
         "trial": trial,
         "block": subject.block,

@@ -114,7 +114,7 @@ def _share(table: pa.Table, term: str) -> NDArray[np.float64]:
 
 def _numbers(table: pa.Table, name: str) -> NDArray[np.float64]:
     """Return a column with NaN where there is nothing."""
-    return np.array([math.nan if value is None else value for value in table.column(name).to_pylist()])
+    return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -121,14 +121,19 @@ def read_campaign(path: Path, trials: int | None = None) -> Campaign:
         spec = Campaign.model_validate(raw)
     except ValidationError as error:
         raise _refused(error, path) from None
+    spec = spec if trials is None else spec.with_trials(trials)
     _check_factors(spec, path)
     spec = spec.model_copy(update={"subjects": _subjects(spec, path)})
-    return spec if trials is None else spec.with_trials(trials)
+    _check_counts(spec, path)
+    return spec
 
 
 def _refused(error: ValidationError, path: Path) -> RefusedInput:
-    """Say which key is wrong; an unknown one explains a missing one beside it, so it goes first."""
-    first = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    """Say which key is wrong; an unknown one explains a missing one beside it, so it goes first.
+
+    Of what a value could have been, the kind that was looked into deepest is the one that was meant.
+    """
+    first = min(error.errors(), key=lambda problem: (problem["type"] != "extra_forbidden", -len(problem["loc"])))
     keys = [str(part) for part in first["loc"] if not str(part).startswith(("list[", "float", "str", "Range"))]
     place = f"{path}: {' '.join([f'[{keys[0]}]', *keys[1:]])}"
     if first["type"] == "missing":
@@ -162,6 +167,21 @@ def _check_factors(spec: Campaign, path: Path) -> None:
         raise RefusedInput(f"{path}: [campaign] trials", "is missing.", "A Latin hypercube needs it, or --trials.")
     for name, value in spec.vary.items():
         _check_factor(name, value, path)
+
+
+def _check_counts(spec: Campaign, path: Path) -> None:
+    """Refuse keys that would change nothing, and a number that would count one analysis twice."""
+    study, place = spec.campaign, f"{path}: [campaign]"
+    if study.repeats > 1 and study.study != "grid":
+        remedy = "Take it out; only a grid is gone through again."
+        raise RefusedInput(f"{place} repeats", f"means nothing to a {study.study}.", remedy)
+    if study.study != "reanalysis":
+        return
+    if study.navigate:
+        raise RefusedInput(f"{place} navigate", "means nothing to a reanalysis.", "Take it out.")
+    if spec.trials > spec.points:
+        reason = f"{spec.trials} are more than the {spec.points} analyses that the recordings make."
+        raise RefusedInput(f"{place} trials", reason, f"Ask for {spec.points} at most; without it all are made.")
 
 
 def _check_factor(name: str, value: Any, path: Path) -> None:

@@ -53,8 +53,18 @@ COLUMNS = pa.schema(
 is processor time, whatever else the machine does."""
 
 
-def run_trial(spec: Campaign, trial: int) -> dict[str, Any]:
-    """Run one trial; a block that is not fit is a result, and so is a recording that is refused."""
+def run_trial(spec: Campaign, trial: int, scratch: str | None = None) -> dict[str, Any]:
+    """Run one trial; a block that is not fit is a result, and so is a recording that is refused.
+
+    Parameters
+    ----------
+    spec
+        The study.
+    trial
+        Its number.
+    scratch
+        Folder for its recording while it runs; default the system's.
+    """
     cpu_s = time.process_time()
     levels = levels_of(spec, trial)
     rng = np.random.default_rng(trial_seed(spec.campaign.seed, trial))
@@ -64,7 +74,7 @@ def run_trial(spec: Campaign, trial: int) -> dict[str, Any]:
     row: dict[str, Any] = {"trial": trial, **levels}
     truth = planted(scenario, model)
     row |= {f"planted_{name}": value for name, value in zip(TERMS, _six(truth), strict=True)}
-    with tempfile.TemporaryDirectory(prefix="inertrim-trial-") as folder:
+    with tempfile.TemporaryDirectory(prefix="inertrim-trial-", dir=scratch) as folder:
         began = time.perf_counter()
         recording = record(scenario, model, Path(folder) / "run")
         recording = replace(recording, meta=recording.meta.model_copy(update={"window": windows}))

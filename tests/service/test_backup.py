@@ -124,6 +124,30 @@ def test_a_backup_taken_while_a_run_goes_on_brings_everything_back(site: Site, t
         assert store.abort_interrupted() == [done, under_way]  # a READY has to be found anew as well
 
 
+def test_old_backups_are_cleared_away_once_a_new_one_is_whole(site: Site, tmp_path: Path) -> None:
+    with site.store() as store:
+        site.add_run(store)
+    folder = tmp_path / "backups"
+    folder.mkdir()
+    older = [folder / f"inertrim-2026010{day}T031500Z.backup" for day in (1, 2, 3)]
+    others = [folder / "before-upgrade.backup", folder / "inertrim-notes.txt"]
+    for path in (*older, *others):
+        path.write_text("")
+    command = ("backup", "--config", site.settings, "--keep", 2, "--out")
+    code, text = inertrim(*command, folder)
+    assert code == 0
+    (new,) = set(folder.iterdir()) - {*older, *others}
+    assert sorted(folder.iterdir()) == sorted([older[2], new, *others])
+    assert f"{older[0]}: removed" in text
+    # A backup that comes to nothing costs none that there is.
+    site.database.write_bytes(b"no database")
+    assert inertrim(*command, folder)[0] == 2
+    assert older[2].exists()
+    code, text = inertrim(*command, tmp_path / "one.backup")
+    assert (code, (tmp_path / "one.backup").exists()) == (2, False)
+    assert "--keep" in text
+
+
 def test_a_folder_gets_backups_named_by_time(site: Site, tmp_path: Path) -> None:
     with site.store() as store:
         site.add_run(store)

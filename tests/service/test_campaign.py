@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import distributed
 import numpy as np
 import psutil
 import pyarrow as pa
@@ -19,6 +22,7 @@ from typer.testing import CliRunner
 
 from service import cli
 from service.campaign import read_campaign, run_campaign
+from service.campaign.chunks import Chunks
 from service.campaign.design import levels_of, trial_seed
 from service.campaign.engine import run_chunk
 from service.errors import RefusedInput
@@ -77,6 +81,8 @@ def untimed(table: pa.Table) -> pa.Table:
         ('"latin_hypercube"', '"reanalysis"', "[campaign] study", "[[block]]"),
         ("[vary]", '[[block]]\nname = "a"\nmodel = "b"\nrecordings = ["c"]\n[vary]', "[campaign] study", "[[block]]"),
         ("low = 0.1", "low = 0.0", "[vary] noise", "0.01"),
+        ('"log"', '"cube"', "[vary] noise scale", "'linear' or 'log'"),
+        ("trials = 20", "trials = 20\nrepeats = 2", "[campaign] repeats", "only a grid"),
     ],
 )
 def test_a_spec_is_refused_by_file_key_and_remedy(tmp_path: Path, old: str, new: str, place: str, remedy: str) -> None:
@@ -85,6 +91,10 @@ def test_a_spec_is_refused_by_file_key_and_remedy(tmp_path: Path, old: str, new:
         read_campaign(path)
     assert f"{path}: {place}" in str(refused.value)
     assert remedy in str(refused.value)
+
+
+def test_a_hypercube_takes_its_number_of_trials_from_the_command_line(tmp_path: Path) -> None:
+    assert read_campaign(spec_at(tmp_path, CUBE.replace("trials = 20", "")), trials=3).trials == 3
 
 
 def test_recordings_of_a_fleet_must_be_there(tmp_path: Path) -> None:
@@ -100,6 +110,10 @@ def test_recordings_of_a_fleet_must_be_there(tmp_path: Path) -> None:
     spec = read_campaign(spec_at(tmp_path, text))
     assert [[path.stem for path in subject.recordings] for subject in spec.subjects] == [["one"], ["two"]]
     assert spec.trials == 2
+    with pytest.raises(RefusedInput, match=r"\[campaign\] trials: 3 are more than the 2"):
+        read_campaign(tmp_path / "study.toml", trials=3)
+    with pytest.raises(RefusedInput, match=r"\[campaign\] navigate: means nothing"):
+        read_campaign(spec_at(tmp_path, text.replace("[[block]]", "navigate = true\n[[block]]")))
 
 
 def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,6 +121,82 @@ def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: 
     with pytest.raises(RefusedInput, match=r"pip install 'inertrim\[cluster\]'"):
         run_campaign(read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet")
     assert not list(tmp_path.glob("out*"))
+
+
+def test_a_second_call_leaves_a_running_campaign_alone(tmp_path: Path) -> None:
+    spec, out = read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet"
+    with Chunks(spec, out).held():
+        with pytest.raises(RefusedInput, match="another call works on this campaign"):
+            run_campaign(spec, out)
+        assert (tmp_path / "out.parquet.parts" / "campaign.json").is_file()
+    assert not list(tmp_path.glob("out*"))  # nothing was finished, so nothing is kept
+
+
+def test_an_address_that_is_none_is_refused_at_once_and_leaves_nothing(tmp_path: Path) -> None:
+    began_s = time.monotonic()
+    with pytest.raises(RefusedInput, match=r"--scheduler: nonsense does not answer.*tcp://"):
+        run_campaign(read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet", scheduler="nonsense")
+    assert time.monotonic() - began_s < 20.0  # a client that was half made took 40 s to end
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_cluster_that_is_there_already_gives_the_same(tmp_path: Path) -> None:
+    spec, out = read_campaign(spec_at(tmp_path, GRID), trials=2), tmp_path / "out.parquet"
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        dashboard_address=None,
+        local_directory=str(tmp_path / "scratch"),
+    ) as cluster:
+        done = run_campaign(spec, out, scheduler=cluster.scheduler_address)
+        assert not list((tmp_path / "scratch").rglob("inertrim-trial-*"))
+    assert (done.now, done.workers) == (2, 2)
+    expected = _in_one_go(spec.text(), 2)
+    assert untimed(pq.read_table(out).replace_schema_metadata(None)).equals(untimed(expected))
+
+
+def test_a_full_disk_is_told_and_leaves_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec, out = read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet"
+    table = pa.table({"trial": [0]})
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    chunks = Chunks(spec, out)
+    with chunks.held():
+        chunks.save(0, table)
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(RefusedInput, match=r"No space left on device.*what was finished is kept"):
+            chunks.save(1, table)
+    assert sorted(path.name for path in tmp_path.glob("out*/*")) == ["000000000.parquet", "campaign.json", "lock"]
+
+
+def test_parts_that_a_kill_left_beside_the_file_are_cleared(tmp_path: Path) -> None:
+    spec, out = read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet"
+    chunks = Chunks(spec, out)
+    with chunks.held():
+        for chunk in range(chunks.count):
+            chunks.save(chunk, pa.table({"trial": [chunk]}))
+        shutil.copytree(tmp_path / "out.parquet.parts", tmp_path / "kept")
+        chunks.finish()
+    (tmp_path / "kept").rename(tmp_path / "out.parquet.parts")
+    assert run_campaign(spec, out).now == 0
+    assert not (tmp_path / "out.parquet.parts").exists()
+
+
+def test_the_file_keeps_many_chunks_together_in_the_order_of_trials(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.campaign.chunks.GROUP_ROWS", 3)
+    spec, out = read_campaign(spec_at(tmp_path, GRID)), tmp_path / "out.parquet"
+    chunks = Chunks(spec, out)
+    with chunks.held():
+        for chunk in reversed(range(chunks.count)):
+            chunks.save(chunk, pa.table({"trial": [chunk]}))
+        chunks.finish()
+    groups = pq.read_metadata(out)
+    assert [groups.row_group(k).num_rows for k in range(groups.num_row_groups)] == [3, 3, 2]
+    assert pq.read_table(out).column("trial").to_pylist() == list(range(8))
 
 
 def test_the_command_line_refuses_with_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +282,14 @@ def test_neither_a_killed_worker_nor_a_killed_run_changes_a_bit(tmp_path: Path) 
     spec, out = spec_at(tmp_path, GRID), tmp_path / "out.parquet"
     parts = out.with_name("out.parquet.parts")
     command = [sys.executable, "-m", "service.cli", "campaign", str(spec), "--out", str(out), "--workers"]
-    running = subprocess.Popen([*command, "2"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    running = subprocess.Popen(
+        [*command, "2"],
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        env={**os.environ, "TMPDIR": str(temporary)},
+    )
     try:
         _until(parts, 1, running)
         workers = _workers(running.pid)
@@ -206,6 +303,7 @@ def test_neither_a_killed_worker_nor_a_killed_run_changes_a_bit(tmp_path: Path) 
     kept = {path.name: path.stat().st_mtime_ns for path in parts.glob("0*.parquet")}
     assert 4 <= len(kept) < 8
     assert psutil.wait_procs([psutil.Process(pid) for pid in orphans if psutil.pid_exists(pid)], timeout=30)[1] == []
+    assert list(temporary.glob("inertrim*")) == []  # recordings of killed workers lie where they are cleared away
     (parts / ".000000007.parquet.part").write_bytes(b"PAR1 cut")  # what a kill leaves of a chunk being written
 
     ended = subprocess.run([*command, "1", "--json", str(tmp_path / "facts.json")], capture_output=True, check=False)

@@ -137,7 +137,7 @@ def health_check() -> list[str]:
 def test_the_container_is_built_of_what_is_there_and_runs_without_rights() -> None:
     text = (DEPLOY / "container" / "Containerfile").read_text()
     copied = [word for line in re.findall(r"^COPY (?!--from)(.*) \S+$", text, re.MULTILINE) for word in line.split()]
-    assert {"pyproject.toml", "requirements.lock", "service"} <= set(copied)
+    assert {"pyproject.toml", "requirements-service.lock", "service"} <= set(copied)
     assert all((ROOT / name).exists() for name in copied)
     user = re.findall(r"^USER (\d+)", text, re.MULTILINE)
     assert user
@@ -146,6 +146,42 @@ def test_the_container_is_built_of_what_is_there_and_runs_without_rights() -> No
         assert service["cap_drop"] == ["ALL"]
         assert service["read_only"] is True
         assert "privileged" not in service
+
+
+def pins(name: str) -> dict[str, set[str]]:
+    """Return each package of a lock file with its version and hashes."""
+    lines = (ROOT / name).read_text().replace("\\\n", " ").splitlines()
+    return {
+        line.split("==")[0]: {word for word in line.split() if word.startswith((line.split("==")[0], "--hash"))}
+        for line in lines
+    }
+
+
+def test_what_a_launcher_installs_is_what_was_tested_and_no_tool_for_tests() -> None:
+    service, tested = pins("requirements-service.lock"), pins("requirements.lock")
+    assert {name: tested[name] for name in service} == service
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+
+    def names(wanted: list[str]) -> set[str]:
+        return {re.split(r"[\[>=<]", one)[0] for one in wanted}
+
+    assert names([*project["dependencies"], *extras["mcap"], *extras["postgres"], *extras["cluster"]]) <= set(service)
+    assert not names([*extras["test"], *extras["lint"]]) & set(service)
+
+
+def test_the_health_check_outlives_an_image_format_that_knows_none() -> None:
+    """podman builds in a format without health checks unless told otherwise, and only warns."""
+    text = (DEPLOY / "container" / "Containerfile").read_text().replace("\\\n", " ")
+    assert compose()["service"]["healthcheck"]["test"] == ["CMD", *health_check()]
+    for name, option in (("interval", "interval"), ("timeout", "timeout"), ("start_period", "start-period")):
+        assert f"--{option}={compose()['service']['healthcheck'][name]}" in text
+    for page in ("docs/install.md", "deploy/container/Containerfile"):
+        commands = re.findall(r"podman build .*", (ROOT / page).read_text())
+        assert commands
+        assert all("--format docker" in command for command in commands), page
+    # Without a registry in its name an image is only found where the host lists where to look.
+    assert all(name.startswith("docker.io/") for name in re.findall(r"^FROM (\S+)", text, re.MULTILINE))
 
 
 @pytest.fixture(scope="module")

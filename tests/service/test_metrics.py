@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,15 @@ from http_bench import serving, settings_for
 from prometheus_client.parser import text_string_to_metric_families
 from sequencer_bench import TERMS, result
 
-from service.config import LogSettings
+from drivers.samples import empty_samples
+from service.config import LogSettings, Settings
 from service.controller import Controller
+from service.estimation import RunPlan, final_result, keep_recording, terms_so_far, write_result
 from service.logs import configure_logs, correlate
+from service.orders import Estimate, Keep
+from service.run_folder import RunFolder
+from service.security.roles import Role
+from service.security.tokens import make_token
 from service.sequencer import RunContext
 
 BASE_UNITS = (
@@ -161,6 +168,7 @@ def lines() -> Iterator[io.StringIO]:
     configure_logs(LogSettings(), stream)
     yield stream
     correlate(None)
+    logging.captureWarnings(False)
     logging.root.handlers[:] = handlers
     logging.root.setLevel(level)
     structlog.configure(**configured)
@@ -175,13 +183,39 @@ def test_every_line_is_one_object_and_bears_the_run_in_hand(lines: io.StringIO) 
         raise ValueError("what went wrong")
     except ValueError:
         structlog.get_logger().exception("worker")
-    before, state, library, worker = (json.loads(line) for line in lines.getvalue().splitlines())
+    warnings.warn("a warning of Python's", RuntimeWarning, stacklevel=1)
+    before, state, library, worker, warning = (json.loads(line) for line in lines.getvalue().splitlines())
     assert "run_id" not in before
-    assert [one["run_id"] for one in (state, library, worker)] == ["run-1"] * 3
+    assert [one["run_id"] for one in (state, library, worker, warning)] == ["run-1"] * 4
+    assert "RuntimeWarning: a warning of Python's" in warning["event"]
     assert (state["event"], state["level"], state["target"]) == ("state", "warning", "READY")
     assert library["event"] == "a library's line, 7"
     assert worker["exception"][0]["exc_value"] == "what went wrong"
     assert all("timestamp" in one for one in (before, state, library, worker))
+
+
+def test_lines_of_the_process_beside_the_service_bear_the_run_too(
+    lines: io.StringIO, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def told(*_: object, **__: object) -> None:
+        logging.getLogger("a library").warning("told")
+
+    monkeypatch.setattr("service.estimation.compensate", told)
+    monkeypatch.setattr("service.estimation.partial", told)
+    monkeypatch.setattr("service.estimation.render", lambda _: told() or "")
+    monkeypatch.setattr(RunFolder, "write_recording", told)
+    monkeypatch.setattr(RunPlan, "meta", lambda *_: None)
+    known, samples = Settings(), empty_samples(2, 1)
+    for run_id, work, order in (
+        ("run-0", terms_so_far, Estimate(1, "run-0", (), (), samples, False)),
+        ("run-1", final_result, Estimate(1, "run-1", (), (), samples, True)),
+        ("run-2", keep_recording, Keep("run-2", (), (), samples)),
+    ):
+        work(RunPlan("optimal", known.site, known.reference, RunFolder(tmp_path, run_id), known.block), order)
+    (tmp_path / "run-3").mkdir()
+    write_result(RunFolder(tmp_path, "run-3"), result())
+    marks = [json.loads(line)["run_id"] for line in lines.getvalue().splitlines()]
+    assert list(dict.fromkeys(marks)) == ["run-0", "run-1", "run-2", "run-3"]
 
 
 def test_lines_for_a_console_are_text(lines: io.StringIO) -> None:
@@ -233,6 +267,20 @@ def test_labels_that_rules_ask_for_exist(service: Serving) -> None:
     asked = set(re.findall(r'\b(state|route|queue|target)=\\?"([^"\\]+)\\?"', text))
     assert asked
     assert asked <= told
+
+
+def test_a_service_with_tokens_takes_the_one_that_the_scrape_configuration_shows(tmp_path: Path) -> None:
+    commented = (DEPLOY / "prometheus" / "prometheus.yml").read_text().replace("# authorization", "authorization")
+    (job,) = yaml.safe_load(commented.replace("# scheme", "scheme"))["scrape_configs"]
+    assert (set(job["authorization"]), job["scheme"]) == ({"credentials_file"}, "https")
+    with serving(settings_for(tmp_path)) as (controller, client):
+        token, record = make_token("prometheus", Role.VIEWER)
+        controller.store.add_token(record)
+        deadline_s = time.monotonic() + 10.0
+        while client.get(job["metrics_path"]).status_code != 401:  # the service looks every two seconds
+            assert time.monotonic() < deadline_s
+        given = {"Authorization": f"Bearer {token}"}  # Prometheus' own scheme where no type is named
+        assert client.get(job["metrics_path"], headers=given).status_code == 200
 
 
 @pytest.fixture
