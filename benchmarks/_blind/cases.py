@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.fft import dct
 
 from benchmarks._blind import hidden, oracle, plans, strange
 from benchmarks._blind.dictionary import columns, lines
 from benchmarks._blind.hidden import Effect
 from benchmarks._blind.motion import Setup, add_sway, increments
-from benchmarks._blind.noise import Spectrum, quantise, sway, sway_density
+from benchmarks._blind.noise import Spectrum, quantise, sway
 from benchmarks._blind.plans import Plan
 from benchmarks._blind.world import CHANNELS, index
 
@@ -25,6 +26,7 @@ CERTAIN = 1e4
 """d of what shows in the frame numbers themselves."""
 
 _TRIES, _TRIES_EACH = 80, 10
+_SWAYS = 30  # draws
 _STRANGE_SHARE = 0.35
 """Share of a strange effect's length that the two best library columns together may not explain, at least."""
 _MOVING = {"motion": ("positions", "turns", "tour")}
@@ -208,16 +210,7 @@ class _Draft:
             self.known.append((channel, value, sigma, float(rng.normal(value, sigma))))
 
     def _metric(self) -> oracle.Metric:
-        extra = None
-        if self.sway is not None:
-            sigma, constant = self.sway
-            level = 1 - (self.world.attitude[:, 2, :] ** 2).mean(axis=0)
-
-            def extra(frequency: np.ndarray) -> np.ndarray:
-                psi = sway_density(frequency, sigma, constant)
-                accel = self.true.gravity**2 * level[:, None] * psi
-                return np.vstack([accel, np.tile((2 * np.pi * frequency) ** 2 * psi, (3, 1))])
-
+        extra = None if self.sway is None else self._sway_density
         metric = oracle.Metric(self.world, self.spectra, extra)
         priors = [(channel, sigma) for channel, _, sigma, _ in self.known]
         rides = self.plan.level_frame == "body"
@@ -455,14 +448,32 @@ class _Draft:
             out[:, channel] += truth
         return out
 
+    def _sway_density(self, frequency: np.ndarray) -> np.ndarray:
+        """Two-sided spectra (6, n) of what sway adds, in the mean over draws: turns carry it to where it has no power.
+
+        A mount at rest comes back, but a block that has been turned meanwhile feels it come back about another axis.
+        """
+        world, rng = self.world, self.rng.spawn(1)[0]
+        C = increments(world.setup, world.edges)[2]
+        power = np.zeros((6, world.count))
+        for _ in range(_SWAYS):
+            power += dct(self._sway(rng, C), axis=0, norm="ortho").T ** 2 / _SWAYS
+        bounds = np.unique(np.concatenate([np.arange(40), np.geomspace(40, world.count, 60).astype(int)]))
+        level = np.add.reduceat(power, bounds[:-1], axis=1) / np.diff(bounds) * world.dt
+        middle = 0.5 * (bounds[:-1] + bounds[1:] - 1) / (2 * world.count * world.dt)
+        return np.array([np.interp(frequency, middle, one) for one in level])
+
+    def _sway(self, rng: np.random.Generator, C: np.ndarray) -> np.ndarray:
+        """What one draw of the mount's small angles adds to the inputs (n, 6)."""
+        world, (sigma, constant) = self.world, self.sway
+        psi = np.column_stack([sway(rng, world.count + 1, world.dt, sigma, constant) for _ in range(3)])
+        dv, dtheta = np.zeros((world.count, 3)), np.zeros((world.count, 3))
+        add_sway(dv, dtheta, C, psi, world.setup.gravity, world.dt)
+        return np.hstack([dv, dtheta]) / world.dt
+
     def _swayed(self, inputs: np.ndarray) -> np.ndarray:
         """Inputs with the mount's small angles, of which the stated level is the mean."""
-        world, (sigma, constant) = self.world, self.sway
-        psi = np.column_stack([sway(self.rng, world.count + 1, world.dt, sigma, constant) for _ in range(3)])
-        dv, dtheta = np.zeros((world.count, 3)), np.zeros((world.count, 3))
-        C = increments(world.setup, world.edges)[2]
-        add_sway(dv, dtheta, C, psi, world.setup.gravity, world.dt)
-        return inputs + np.hstack([dv, dtheta]) / world.dt
+        return inputs + self._sway(self.rng, increments(self.world.setup, self.world.edges)[2])
 
     def _kept(self, effects: list[Effect]) -> np.ndarray:
         """Which frames arrive."""

@@ -68,17 +68,12 @@ def markov(rng: np.random.Generator, count: int, dt: float, sigma: float, consta
 
 
 def sway(rng: np.random.Generator, count: int, dt: float, sigma: float, constant_s: float) -> np.ndarray:
-    """Smooth random angle: white noise through two equal lags; the spectrum is :func:`sway_density`."""
+    """Smooth random angle: white noise through two equal lags; its two-sided spectrum is 4σ²T/(1 + (2πfT)²)²."""
     keep, lead = np.exp(-dt / constant_s), round(12 * constant_s / dt)
     drive = rng.standard_normal(count + lead)
     out = lfilter([1.0], [1.0, -2 * keep, keep**2], drive)[lead:]
     gain = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)
     return out * sigma / gain
-
-
-def sway_density(frequency_hz: np.ndarray, sigma: float, constant_s: float) -> np.ndarray:
-    """Two-sided spectrum of :func:`sway` [rad²/Hz]."""
-    return 4 * sigma**2 * constant_s / (1 + (2 * np.pi * frequency_hz * constant_s) ** 2) ** 2
 
 
 def quantise(rate: np.ndarray, dt: float, step: float, start: float) -> np.ndarray:

@@ -22,7 +22,7 @@ from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit, freely_rounded_hz
+from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -280,7 +280,7 @@ class Searcher:
             return False
         scene, hertz = self.library.scenes[0], h.shape["frequency"]
         noise = getattr(scene.model.noise, h.channel)
-        if hertz < freely_rounded_hz(noise, scene.interval_s):
+        if hertz < scene.freely_rounded_hz(CHANNELS.index(h.channel)):
             return False
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         angle = size * scene.interval_s / (2.0 * math.sin(math.pi * hertz * scene.interval_s))

@@ -44,6 +44,8 @@ EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
 AWAY_C = 1.0
 """By which a steady temperature must be off the usual reference for a coefficient to show."""
+AWAY_V = 0.05
+"""... and a steady supply off the nominal one; one that moves by less is steady."""
 USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
 FITTED_PLACES = 30.0
@@ -304,9 +306,12 @@ class Library:
             case "supply_sensitivity":
                 volts = [float(np.mean(s.seen.supply_v)) for s in self.scenes]
                 spread = max(float(np.ptp(s.seen.supply_v)) for s in self.scenes)
-                steady = spread < 0.05 or not all(s.supplied for s in self.scenes)
-                nominals = dict.fromkeys((float(np.mean(volts)), *USUAL["nominal"]))
-                return [] if steady else [{"nominal": v} for v in nominals]
+                if not all(s.supplied for s in self.scenes):
+                    return []
+                mean = float(np.mean(volts))
+                if spread < AWAY_V:  # what depends on the supply stays what it is
+                    return [{"nominal": v} for v in USUAL["nominal"] if abs(mean - v) > AWAY_V]
+                return [{"nominal": v} for v in dict.fromkeys((mean, *USUAL["nominal"]))]
             case "dead_band" | "saturation":
                 assert isinstance(effect, SampleEffect)
                 return self._felt(effect, channel, effect.parameters[0].name)

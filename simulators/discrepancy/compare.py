@@ -21,6 +21,7 @@ from drivers.recording import Recording, RecordingError, read_recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.discrepancy.repair import Gaps, Repaired, repair
+from simulators.discrepancy.whitening import FREE_SHARE, freely_rounded_hz
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, SampleEffect, Stage, values_of
 from simulators.motion import Setup, Trajectory, Turn, Vibration, vibration_mean_square
@@ -135,6 +136,16 @@ class Scene:
             return np.asarray(found)
         stated = np.array([getattr(self.model.noise, name).white for name in CHANNELS]) / np.sqrt(self.seen.interval_s)
         return np.where(found < _FAR_OFF * stated, stated, found)
+
+    def freely_rounded_hz(self, column: int) -> float:
+        """Return the frequency above which a channel's rounding errors may show, see :func:`freely_rounded_hz`.
+
+        Of noise of which the model knows the size about, the least is taken.
+        """
+        noise = getattr(self.model.noise, CHANNELS[column])
+        if self.model.noise.free:
+            noise = noise.model_copy(update={"white": FREE_SHARE * noise.white})
+        return freely_rounded_hz(noise, self.interval_s)
 
     @property
     def warm(self) -> bool:

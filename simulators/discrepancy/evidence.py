@@ -22,7 +22,7 @@ from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
-from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise, freely_rounded_hz
+from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -128,7 +128,7 @@ class Evidence:
         if slot not in self._scatter:
             scene, basis = self.library.scenes[slot[0]], self.basis[slot]
             noise = getattr(scene.model.noise, CHANNELS[slot[1]])
-            rounded = basis.frequency_hz > freely_rounded_hz(noise, basis.interval_s)
+            rounded = basis.frequency_hz > scene.freely_rounded_hz(slot[1])
             self._scatter[slot] = 1.0
             if rounded.any():
                 per_step = basis.interval_s / noise.quantisation
@@ -161,7 +161,7 @@ class Evidence:
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
-        basis = cosine_basis(len(residual), scene.interval_s)
+        basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
         came = 1.0 - float(scene.data.missing[:, slot[1]].mean())
         self.eased[slot] = came * float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
@@ -172,7 +172,7 @@ class Evidence:
         self.floor[slot] = basis.stated(noise.__class__(), lsb) + share * basis.stated(slow, 0.0)
         moved = scene.motion(slot[1])
         stated = basis.stated(noise, lsb, moved) if declared else None
-        if math.isfinite(freely_rounded_hz(noise, scene.interval_s)):
+        if math.isfinite(scene.freely_rounded_hz(slot[1])):
             basis = basis.rounded(noise, moved)
             if stated is not None:
                 self._rounded[slot] = noise, stated
@@ -198,8 +198,8 @@ class Evidence:
         for b, (first, end) in enumerate(itertools.pairwise(bounds)):
             count = int(np.sum(reaches > b))
             rows = matrix[first:end, :count]
-            # Far from the few coefficients that tell slow effects apart, but not so errors in the timing of turns, which
-            # are known a ten-thousandth as well beforehand as they show, from what delays them all.
+            # Far from the few coefficients that tell slow effects apart. But errors in the timing of turns are known a
+            # ten-thousandth as well beforehand as they show, so that a delay is told from them in the last digits.
             if end - first >= _MANY and not scene.turns():
                 rows = rows.astype(np.float32)
             gram[b, :count, :count] = rows.T @ rows

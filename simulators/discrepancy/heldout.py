@@ -167,7 +167,7 @@ class _Blocks:
         """Gather the products of one slot."""
         whole, library = evidence.basis[slot], evidence.library
         length = max(8, min(round(_BLOCK_S / whole.interval_s), whole.n // (4 * FOLDS)))
-        count, basis = whole.n // length, cosine_basis(length, whole.interval_s)
+        count, basis = whole.n // length, cosine_basis(length, whole.interval_s, tilted=slot[1] < 3)
         place = np.array([p for p, i in enumerate(fit.ids) if slot in library.columns[i].parts], dtype=np.int64)
         parts = [library.residual[slot], *(library.columns[fit.ids[p]].parts[slot] for p in place)]
         cut = np.stack([_cut(part, count, length) for part in parts], axis=2)

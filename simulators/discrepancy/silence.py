@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 _FEWEST = 5  # silent samples that say anything
 _NEAR, _FAR_SIGMAS = 2.0, 6.0  # widths and σ within which an input has to do with the band
 _ALIKE = 0.05  # σ within which inputs are taken for one
-_WIDTHS, _WIDEST = 81, 3.0  # tried, and by what factor they may be off what the means say
-_PASSES = 3
-_NOISES = np.geomspace(0.25, 4.0, 33)  # times the noise that the record shows, where it is not stated
+_WIDTHS, _WIDEST = 31, 3.0  # tried, and by what factor they may be off what the means say
+_NOISES, _NOISIEST = 13, 4.0  # ... the noise off what the record shows, where it is not stated
+_PASSES = 4
 _SURE = 12.0  # nats below the best beyond which nothing counts
 _FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
 
@@ -43,22 +43,28 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[flo
     inputs, readings, counts = (np.concatenate(part) for part in zip(*counted, strict=True))
     if counts[readings == 0.0].sum() < _FEWEST:
         return None
-    noises = _NOISES * sigma if scenes[0].model.noise.free else np.array([sigma])
     step = max(getattr(scenes[0].model.noise, channel).quantisation / scenes[0].seen.interval_s, _FINEST * sigma)
-    low, high = about / _WIDEST, about * _WIDEST
+    widths = np.geomspace(about / _WIDEST, about * _WIDEST, _WIDTHS)
+    known = not scenes[0].model.noise.free
+    noises = np.array([sigma]) if known else np.geomspace(sigma / _NOISIEST, sigma * _NOISIEST, _NOISES)
     for _ in range(_PASSES):
-        widths = np.linspace(low, high, _WIDTHS)
         value = np.array(
             [[_log_likelihood(inputs, readings, counts, step, noise, w) for w in widths] for noise in noises]
         )
-        weight = np.exp(value - value.max())
-        near = widths[(value > value.max() - _SURE).any(axis=0)]
-        low, high = near[0] - (widths[1] - widths[0]), near[-1] + (widths[1] - widths[0])
-        noises = noises[(value > value.max() - _SURE).any(axis=1)]
+        weight, likely = np.exp(value - value.max()), value > value.max() - _SURE
+        finest = widths
+        widths = _closer(widths, likely.any(axis=0))
+        noises = noises if known else _closer(noises, likely.any(axis=1))
     share = weight.sum(axis=0) / weight.sum()
-    mean = float(share @ widths)
-    spread = float(np.sqrt(share @ (widths - mean) ** 2 + (widths[1] - widths[0]) ** 2 / 12.0))
+    mean = float(share @ finest)
+    spread = float(np.sqrt(share @ (finest - mean) ** 2 + (finest[1] - finest[0]) ** 2 / 12.0))
     return mean, spread
+
+
+def _closer(tried: Array, likely: NDArray[np.bool_]) -> Array:
+    """Return as many values between the neighbours of those that are likely."""
+    places = np.flatnonzero(likely)
+    return np.linspace(tried[max(places[0] - 1, 0)], tried[min(places[-1] + 1, tried.size - 1)], tried.size)
 
 
 def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Array, Array, Array]:

@@ -23,30 +23,29 @@ def gains_but_one(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> tuple
     In the whitened record, with what all else in the fit can explain of the columns taken out of them (Frisch and
     Waugh 1933), each sample's part in the gain can be seen.
     """
-    slots = sorted(evidence.touched(hypothesis.columns))
-    others = [i for i in fit.ids if i not in hypothesis.columns and evidence.touched([i]) & set(slots)]
-    known = np.column_stack([_whitened(evidence, fit, slots, {i: 1.0}) for i in others])
-    size = {i: float(fit.amplitude[fit.ids.index(i)]) for i in hypothesis.columns}
-    own = _whitened(evidence, fit, slots, size)
-    left = np.concatenate([_white(evidence, fit, s, evidence.library.left(s, fit.ids, fit.amplitude)) for s in slots])
-    scale = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
-    known = known / scale
-    prior = [
-        (evidence.prior[i] * s) ** -2.0 if i in evidence.prior else 0.0 for i, s in zip(others, scale, strict=True)
-    ]
-    gram = known.T @ known + np.diag(prior) + _RIDGE * np.eye(len(others))
-    own = own - known @ np.linalg.solve(gram, known.T @ own)
-    whole = float(own @ own)
-    score = whole - own * (left + own)
-    return 0.5 * whole, float(np.min(score**2 / np.maximum(2.0 * (whole - own**2), 1e-300)))
+    ids, slots = fit.ids, sorted(evidence.touched(hypothesis.columns))
+    gram = sum(np.tensordot(1.0 / fit.noise[s].power, evidence.products(s, ids)[0], 1) for s in evidence.slots)
+    own = np.array([i in hypothesis.columns for i in ids], dtype=np.bool_)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unit = gram / np.outer(scale, scale)
+    sizes = np.where(own, fit.amplitude * scale, 0.0)
+    prior = np.array([evidence.prior.get(i, np.inf) for i in ids])[~own] * scale[~own]
+    across = unit[np.ix_(~own, own)] @ sizes[own]
+    known = np.linalg.solve(unit[np.ix_(~own, ~own)] + np.diag(prior**-2.0 + _RIDGE), across)
+    whole = float(sizes[own] @ unit[np.ix_(own, own)] @ sizes[own] - across @ known)
+    sizes[~own] = -known
+    column = _whitened(evidence, fit, slots, sizes / scale)
+    left = np.concatenate([_white(evidence, fit, s, evidence.library.left(s, ids, fit.amplitude)) for s in slots])
+    score = whole - column * (left + column)
+    return 0.5 * whole, float(np.min(score**2 / np.maximum(2.0 * (whole - column**2), 1e-300)))
 
 
-def _whitened(evidence: Evidence, fit: Fit, slots: list[tuple[int, int]], sizes: dict[int, float]) -> Array:
-    """Return what columns of some sizes add to the whitened record of some slots, one behind the other."""
+def _whitened(evidence: Evidence, fit: Fit, slots: list[tuple[int, int]], sizes: Array) -> Array:
+    """Return what the columns of a fit, of some sizes, add to the whitened record of some slots, one after another."""
     rows = []
     for slot in slots:
         total = np.zeros(evidence.basis[slot].n)
-        for i, size in sizes.items():
+        for i, size in zip(fit.ids, sizes, strict=True):
             part = evidence.library.columns[i].parts.get(slot)
             if part is not None:
                 total += size * part

@@ -16,7 +16,6 @@ from simulators.discrepancy.adopt import Adopted, Search
 from simulators.discrepancy.candidates import Kind, Slot, to_cosine
 from simulators.discrepancy.noise_names import OtherNoise
 from simulators.discrepancy.sparse import Sparse, find_sparse
-from simulators.discrepancy.whitening import freely_rounded_hz
 
 Array = NDArray[np.float64]
 
@@ -229,10 +228,9 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
     white = left * np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
     white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
     came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
-    noise = getattr(scene.model.noise, CHANNELS[slot[1]])
     highest_hz = _HIGHEST_HZ
     if scene.turns() or search.evidence.scatter(slot) > _SWARMS:  # rounding errors come and go themselves
-        highest_hz = min(_HIGHEST_HZ, freely_rounded_hz(noise, basis.interval_s))
+        highest_hz = min(_HIGHEST_HZ, scene.freely_rounded_hz(slot[1]))
     best, when, bands, highest = 0.0, 0.0, 0, _FIRST
     while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * highest_hz):
         count = highest // _COEFFICIENTS

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 
-from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import MEDIAN_OF_SQUARES, Scene
-from simulators.discrepancy.whitening import freely_rounded_hz
 
 Array = NDArray[np.float64]
 
@@ -44,7 +42,7 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     quiet = residual[still] if still.sum() >= _FEWEST else residual
     residual = residual + _hidden_noise(scene, channel, quiet, len(residual))
     block = max(1, round(_BLOCK_S / scene.interval_s))
-    white = math.isinf(freely_rounded_hz(getattr(scene.model.noise, CHANNELS[channel]), scene.interval_s))
+    white = math.isinf(scene.freely_rounded_hz(channel))
     blocks = (1, block) if white else (block,)  # the rounding of single samples is another in each motion
     inputs = _inputs(scene, channel)
     for rows in moving:

@@ -2,8 +2,8 @@
 
 The family is wide: white, quantisation, random walk of the rate, and first-order Gauss–Markov processes whose
 correlation times stand in a constant ratio, so that their sum takes the shape of flicker or of a single process of any
-correlation time, and the rate of a mount that sways, which has no mean. Each term's power in each bin of coefficients
-is linear in its variance.
+correlation time, and a mount that sways: its angle, or its rate, which has no mean. Each term's power in each bin of
+coefficients is linear in its variance.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
+_SWAYS_S = 0.05  # no mount forgets its angle sooner; what does would pass for white noise
 _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
 _MOMENTS = 512  # at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
@@ -34,9 +35,8 @@ ROUNDED_AT = (0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
 STATED, WHITE, SWAY, FLICKER, WALK, WIDE = range(6)
-"""Levels of the noise family: as the model states, or in its proportions; white and quantisation free; the rate of a
-mount that sways as well (beside the model's proportions, where it gives them); or flicker as well; or a random walk;
-all free."""
+"""Levels of the noise family: as the model states, or in its proportions; white and quantisation free; a mount that
+sways as well (beside the model's proportions, where it gives them); or flicker as well; or a random walk; all free."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,11 @@ def freely_rounded_hz(noise: ChannelNoise, interval_s: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def cosine_basis(n: int, interval_s: float) -> Basis:
-    """Return the bins of n coefficients, the lowest one by one, and the family's power in them."""
+def cosine_basis(n: int, interval_s: float, *, tilted: bool = False) -> Basis:
+    """Return the bins of n coefficients, the lowest one by one, and the family's power in them.
+
+    ``tilted``: a mount that sways acts by its angle, as on an accelerometer, and not by its rate, as on a gyro.
+    """
     single = min(_SINGLE, n)
     steps = max(2, math.ceil(math.log(n / single) / math.log(_RATIO)) + 1)
     bounds = np.unique(np.concatenate([np.arange(single), np.round(np.geomspace(single, n, steps)).astype(np.int64)]))
@@ -178,9 +181,12 @@ def cosine_basis(n: int, interval_s: float) -> Basis:
     while correlation < n / 8:
         decay = math.exp(-1.0 / correlation)
         markov = (1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2)
-        sway = 4.0 * (sine2 + 1.0 / n**2) * markov**2
-        columns += [markov, sway / sway.max()]
-        names += [f"markov {correlation * interval_s:.3g} s", f"sway {correlation * interval_s:.3g} s"]
+        columns.append(markov)
+        names.append(f"markov {correlation * interval_s:.3g} s")
+        if correlation * interval_s > _SWAYS_S:
+            sway = markov**2 if tilted else 4.0 * (sine2 + 1.0 / n**2) * markov**2
+            columns.append(sway / sway.max())
+            names.append(f"sway {correlation * interval_s:.3g} s")
         correlation *= _GM_RATIO
     counts = np.diff(bounds).astype(np.float64)
     return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s)
