@@ -3,6 +3,9 @@
 The C library raises the size from which it asks the kernel for memory by itself, whenever such a piece is freed, up to
 32 MiB: arrays then share the heap with what lives long, which they leave full of holes. With the size fixed, an array's
 memory goes back to the kernel with the array. Arrow's own allocator keeps what it once had.
+
+What is smaller still shares the heap, and the C library by itself gives back only the heap's end: one thing up there
+that lives on keeps all the free pages below it resident. :func:`trim` gives those back.
 """
 
 from __future__ import annotations
@@ -23,3 +26,14 @@ def give_back() -> bool:
     if mallopt is None:
         return False
     return bool(mallopt(_M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES) and mallopt(_M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES))
+
+
+def trim() -> None:
+    """Give free pages inside the heap back to the kernel, where the C library can (glibc since 2.8).
+
+    It holds up whoever needs memory of the same part of the heap for some milliseconds: call it when nothing is
+    measured, from a thread that may be late.
+    """
+    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if malloc_trim is not None:
+        malloc_trim(0)
