@@ -5,12 +5,13 @@ Check i of block b, ``t`` months after its laboratory calibration, finds the ter
     y = o_b + s_b·h(t) + w_b(t) + e + ε
     o_b ~ N(0, offset²)          what the calibration itself left
     s_b ~ N(mean, spread²)       the block's own rate under the population's drift law h, in units of a year
-    w_b                          random walk, walk²·t: what no law says
+    w_b                          random walk, what no law says: dw = −w/relaxation·dt + walk·dB, from 0
     e ~ N(0, scatter²)           from one check to the next (turn-on, temperature)
     ε ~ N(0, σ²)                 the check's own 1σ, from the covariance of its result
 
 The law h is one of :mod:`inertial.ageing_law`. The axes of one kind of sensor share it, for it is one mechanism, and
-have sizes of their own: x drifts less than y and z. The likelihood is exact (a Kalman filter a block). Nothing is fixed
+have sizes of their own: x drifts less than y and z. The walk is pulled back by an Ornstein–Uhlenbeck process's pull, for
+what relaxes does not wander for ever; where its relaxation is longer than the histories it is as good as free. The likelihood is exact (a Kalman filter a block). Nothing is fixed
 at its best value: law and sizes are drawn from their posterior by a Metropolis chain, so that what few blocks leave
 open stands in the forecast.
 
@@ -45,9 +46,10 @@ JUMP_SCALE = 2.38
 LAW_MEAN, LAW_SIGMA = np.array([0.4, 0.4, 0.0, math.log(3.5)]), np.array([1.0, 0.7, 0.1, 1.5])
 """Prior of the law's decline, bend, onset and ln τ [months]: power (bend 0) and exponential (1) are alike to it."""
 LAW = len(LAW_MEAN)
-SIZE_MEAN = np.array([0.0, math.log(3.0), 0.0, math.log(0.1), math.log(0.3)])
-SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5])
-"""Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ; walk a √month."""
+SIZE_MEAN = np.array([0.0, math.log(3.0), 0.0, math.log(0.1), math.log(0.3), math.log(120.0)])
+SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5, 1.5])
+"""Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ, walk a √month; and ln
+relaxation [months]: to a few years of checks most of it is a free walk."""
 FARTHEST = 6.0
 """Prior σ beyond which nothing is looked for."""
 STEP = 1e-3
@@ -106,7 +108,10 @@ class TermHistories:
 
 @dataclass(frozen=True)
 class Sizes:
-    """The population: its drift ``law``; in SI ``mean`` and ``spread`` of the first year, ``walk`` a √month."""
+    """The population: its drift ``law``; in SI ``mean`` and ``spread`` of the first year, ``walk`` a √month.
+
+    The walk is pulled back within ``relaxation_months``; infinite: it is free.
+    """
 
     law: DriftLaw
     mean: float
@@ -114,11 +119,13 @@ class Sizes:
     offset: float
     walk: float
     scatter: float
+    relaxation_months: float
 
     @property
     def row(self) -> Array:
-        """Return mean, spread², offset², walk², scatter², as the filter takes them."""
-        return np.array([self.mean, self.spread**2, self.offset**2, self.walk**2, self.scatter**2])
+        """Return mean, spread², offset², walk², scatter² and the walk's pull [1/month], as the filter takes them."""
+        squares = np.square([self.spread, self.offset, self.walk, self.scatter])
+        return np.array([self.mean, *squares, 1.0 / self.relaxation_months])
 
 
 @dataclass(frozen=True)
@@ -133,7 +140,7 @@ class PopulationFit:
 
 
 class _Axis:
-    """Log posterior density of one term at (its law, its five sizes), without the law's own prior."""
+    """Log posterior density of one term at (its law, its six sizes), without the law's own prior."""
 
     def __init__(self, histories: TermHistories) -> None:
         unit = histories.unit
@@ -147,28 +154,30 @@ class _Axis:
         deviation = (own - SIZE_MEAN) / SIZE_SIGMA
         if np.any(np.abs(deviation[1:]) > FARTHEST):
             return -math.inf
-        sizes = np.concatenate([own[:1], np.exp(2.0 * own[1:])])
+        sizes = np.array([own[0], *np.exp(2.0 * own[1:5]), math.exp(-own[5])])
         growth = _law(point).growth(self._ages)[self._age]
         likelihood = log_likelihood(self._offsets, self._months, growth, *self._values, sizes)
         return likelihood - 0.5 * float(deviation @ deviation)
 
     def sizes(self, point: Array) -> Sizes:
         """Return a point in SI."""
-        mean, *rest = point[LAW:].tolist()
-        return Sizes(_law(point), mean * self._unit, *(math.exp(value) * self._unit for value in rest))
+        mean, *rest, relaxation = point[LAW:].tolist()
+        in_units = (math.exp(value) * self._unit for value in rest)
+        return Sizes(_law(point), mean * self._unit, *in_units, math.exp(relaxation))
 
     def point(self, sizes: Sizes) -> Array:
         """Return sizes in SI as a point."""
         own = [sizes.spread, sizes.offset, sizes.walk, sizes.scatter]
         law = [sizes.law.decline, sizes.law.bend, sizes.law.onset, math.log(sizes.law.law_months)]
-        return np.array([*law, sizes.mean / self._unit, *np.log(np.array(own) / self._unit)])
+        relaxation = math.log(sizes.relaxation_months)
+        return np.array([*law, sizes.mean / self._unit, *np.log(np.array(own) / self._unit), relaxation])
 
 
 def _starts(law: Array) -> Iterator[Array]:
     """Yield points of one axis with this law, spread and walk between small and large."""
-    mean, _, offset, _, scatter = SIZE_MEAN
+    mean, _, offset, _, scatter, relaxation = SIZE_MEAN
     for spread, walk in itertools.product(START_SPREADS, START_WALKS):
-        yield np.array([*law, mean, math.log(spread), offset, math.log(walk), scatter])
+        yield np.array([*law, mean, math.log(spread), offset, math.log(walk), scatter, relaxation])
 
 
 def _law(point: Array) -> DriftLaw:
@@ -177,7 +186,7 @@ def _law(point: Array) -> DriftLaw:
 
 
 class _Kind:
-    """Log posterior of all axes of a kind at (law, five sizes for each axis)."""
+    """Log posterior of all axes of a kind at (law, six sizes for each axis)."""
 
     def __init__(self, terms: Sequence[TermHistories]) -> None:
         self.axes = [_Axis(term) for term in terms]
