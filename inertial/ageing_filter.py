@@ -1,8 +1,8 @@
 """The Kalman filter of the drift model of :mod:`inertial.ageing`, one block at a time.
 
-State: offset, slope, walk. A check sees offset + h·slope + walk. ``sizes`` are mean, spread², offset², walk², scatter² and
-the rate [1/month] at which the walk is pulled back, ``jump`` the variance of a step before each check, mostly 0: it stays,
-and therefore is the offset's.
+State: offset, slope, walk. A check sees offset + h·slope + walk. ``sizes`` are mean, spread², offset², walk², scatter²
+and the rate [1/month] at which the walk is pulled back, ``jump`` the variance of a step before each check, mostly 0: a
+step stays, and therefore is the offset's.
 """
 
 from __future__ import annotations
