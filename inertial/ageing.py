@@ -163,9 +163,9 @@ class _Axis:
 
     def sizes(self, point: Array) -> Sizes:
         """Return a point in SI."""
-        mean, *rest = point[SHARED:].tolist()
-        in_units = (math.exp(value) * self._unit for value in rest)
-        return Sizes(_law(point), mean * self._unit, *in_units, math.exp(point[SHARED - 1]))
+        mean = float(point[SHARED]) * self._unit
+        spread, offset, walk, scatter = (np.exp(point[SHARED + 1 :]) * self._unit).tolist()
+        return Sizes(_law(point), mean, spread, offset, walk, scatter, math.exp(point[SHARED - 1]))
 
     def point(self, sizes: Sizes) -> Array:
         """Return sizes in SI as a point."""

@@ -16,7 +16,10 @@ import pyarrow as pa
 
 MMAP_THRESHOLD_BYTES = 64 * 1024
 TRIM_THRESHOLD_BYTES = 128 * 1024
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
+ARENAS = 1
+"""Heaps that threads share, sixteen else on two processors, each of which keeps what its threads once needed at most.
+Whoever needs memory holds the interpreter's lock nearly always, and so waits for nobody at one heap."""
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # mallopt(3)
 
 
 def give_back() -> bool:
@@ -25,7 +28,12 @@ def give_back() -> bool:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is None:
         return False
-    return bool(mallopt(_M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES) and mallopt(_M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES))
+    wanted = {
+        _M_MMAP_THRESHOLD: MMAP_THRESHOLD_BYTES,
+        _M_TRIM_THRESHOLD: TRIM_THRESHOLD_BYTES,
+        _M_ARENA_MAX: ARENAS,
+    }
+    return all(mallopt(option, value) for option, value in wanted.items())
 
 
 def trim() -> None:
