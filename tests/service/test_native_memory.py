@@ -9,6 +9,7 @@ import pytest
 
 PROGRAM = """
 import sys
+from threading import Barrier, Lock, Thread
 import numpy as np
 from service.native_memory import give_back, trim
 
@@ -28,7 +29,19 @@ def small_things_come_and_go(lasting):
         small.append(bytes(50_000))
         lasting.append(bytes(600))
 
-come_and_go, how = {"arrays": arrays_come_and_go, "small things": small_things_come_and_go}[sys.argv[1]], sys.argv[2]
+def threads_come_and_go(lasting):
+    turn, all_done = Lock(), Barrier(8)
+    def work():
+        with turn:
+            small_things_come_and_go(lasting)
+        all_done.wait()
+    threads = [Thread(target=work) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+come_and_go, how = globals()[sys.argv[1].replace(" ", "_") + "_come_and_go"], sys.argv[2]
 told = give_back() if how != "as it comes" else True
 lasting, before = [], resident_mb()
 for _ in range(3):
@@ -40,7 +53,7 @@ print(told, resident_mb() - before)
 
 
 def left_mb(what: str, how: str) -> float:
-    """Return by how much a process has grown when all that came has gone, but for what lives on: less than 1 MB."""
+    """Return by how much a process has grown when all that came has gone, but for what lives on: 9 MB at most."""
     command = [sys.executable, "-c", PROGRAM, what, how]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     told, left = done.stdout.split()
@@ -57,3 +70,8 @@ def test_memory_of_arrays_goes_back_to_the_kernel() -> None:
 def test_free_pages_inside_the_heap_go_back_when_it_is_trimmed() -> None:
     assert left_mb("small things", "given back") > 20.0
     assert left_mb("small things", "trimmed") < 12.0  # two pages at most for each of 1500 things that live on
+
+
+def test_threads_use_what_others_left() -> None:
+    assert left_mb("threads", "as it comes") > 8 * 20.0  # each of eight keeps what it once needed
+    assert left_mb("threads", "given back") < 4 * 20.0
