@@ -287,7 +287,8 @@ class Soak:
         first = self.random.choice([fault for fault in wanted if tried.count(fault.name) <= fewest + 1])
         chosen = [first]
         if self.random.random() < TWO_AT_ONCE:
-            chosen.append(self.random.choice([fault for fault in wanted if fault is not first]))
+            beside = [fault for fault in wanted if fault is not first and not (fault.turns and first.turns)]
+            chosen.append(self.random.choice(beside))
         self._read_run(status["run_id"])
         self._trouble = Trouble([fault.name for fault in chosen], now_s, status["state"], status["run_id"])
         self.troubles.append(self._trouble)
