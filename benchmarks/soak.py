@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks._soak.faults import FAULTS, Fault
 from benchmarks._soak.page import write_page
-from benchmarks._soak.plant import Plant, open_files, resident_mb
+from benchmarks._soak.plant import Plant, memory_mb, open_files
 from benchmarks._soak.records import Records
 from benchmarks._soak.trend import spans, trend_of
 from service.config import SequenceSettings
@@ -72,6 +72,7 @@ class Life:
     started_s: float
     times: list[float] = field(default_factory=list)
     resident_mb: list[float] = field(default_factory=list)
+    own_mb: list[float] = field(default_factory=list)
     files: list[int] = field(default_factory=list)
 
 
@@ -153,10 +154,11 @@ class Soak:
             self._give_up(f"{what}; {status['reasons']}")
         if now_s - self._noted_s > 2.0 * self.plant.speed:
             self._noted_s = now_s
-            life, held = self.lives[-1], resident_mb(pid)
+            life, held = self.lives[-1], memory_mb(pid)
             if held is not None:
                 life.times.append(now_s - life.started_s)
-                life.resident_mb.append(held)
+                life.resident_mb.append(held[0])
+                life.own_mb.append(held[1])
                 life.files.append(open_files(pid))
             self._read_run(status["run_id"])
         self._follow(status, now_s)
@@ -285,7 +287,8 @@ class Soak:
         first = self.random.choice([fault for fault in wanted if tried.count(fault.name) <= fewest + 1])
         chosen = [first]
         if self.random.random() < TWO_AT_ONCE:
-            chosen.append(self.random.choice([fault for fault in wanted if fault is not first]))
+            beside = [fault for fault in wanted if fault is not first and not (fault.turns and first.turns)]
+            chosen.append(self.random.choice(beside))
         self._read_run(status["run_id"])
         self._trouble = Trouble([fault.name for fault in chosen], now_s, status["state"], status["run_id"])
         self.troubles.append(self._trouble)
@@ -306,7 +309,7 @@ class Soak:
     def outcome(self, kept: dict[str, int]) -> dict[str, Any]:
         """Return what is to be told."""
         lives = [
-            spans(np.array(life.times)[late], np.array(life.resident_mb)[late], SPAN_S)
+            spans(np.array(life.times)[late], np.array(life.own_mb)[late], SPAN_S)
             for life in self.lives
             if (late := np.array(life.times) > FIRST_S).any()
         ]
@@ -336,7 +339,7 @@ class Soak:
             "largest_resident_mb": max((max(life.resident_mb, default=0.0) for life in self.lives), default=0.0),
             "largest_open_files": max((max(life.files, default=0) for life in self.lives), default=0),
             "growth": growth,
-            "resident_mb": [level.round(2).tolist() for _, level in lives],
+            "own_mb": [level.round(2).tolist() for _, level in lives],
         }
 
 
@@ -385,7 +388,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps(found, indent=2) + "\n")
     if arguments.page:
         write_page(arguments.page, found, arguments.seed)
-    print(json.dumps({key: value for key, value in found.items() if key not in ("troubles", "resident_mb")}, indent=2))
+    print(json.dumps({key: value for key, value in found.items() if key not in ("troubles", "own_mb")}, indent=2))
     raise SystemExit(any(found[what] for what in ("stuck", "lost", "bad_ends", "false_fit")))
 
 

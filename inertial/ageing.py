@@ -5,14 +5,15 @@ Check i of block b, ``t`` months after its laboratory calibration, finds the ter
     y = o_b + s_b·h(t) + w_b(t) + e + ε
     o_b ~ N(0, offset²)          what the calibration itself left
     s_b ~ N(mean, spread²)       the block's own rate under the population's drift law h, in units of a year
-    w_b                          random walk, walk²·t: what no law says
+    w_b                          random walk, what no law says: dw = −w/relaxation·dt + walk·dB, from 0
     e ~ N(0, scatter²)           from one check to the next (turn-on, temperature)
     ε ~ N(0, σ²)                 the check's own 1σ, from the covariance of its result
 
-The law h is one of :mod:`inertial.ageing_law`. The axes of one kind of sensor share it, for it is one mechanism, and
-have sizes of their own: x drifts less than y and z. The likelihood is exact (a Kalman filter a block). Nothing is fixed
-at its best value: law and sizes are drawn from their posterior by a Metropolis chain, so that what few blocks leave
-open stands in the forecast.
+The law h is one of :mod:`inertial.ageing_law`. What the walk gathers is pulled back within its relaxation (an
+Ornstein–Uhlenbeck process); one much longer than the histories leaves the walk free. The axes of one kind of sensor
+share law and relaxation, for it is one mechanism, and have sizes of their own: x drifts less than y and z. The
+likelihood is exact (a Kalman filter a block). Nothing is fixed at its best value: law and sizes are drawn from their
+posterior by a Metropolis chain, so that what few blocks leave open stands in the forecast.
 
 Source: the model form is that of linear growth curves with random coefficients (Laird & Ware 1982); filtering as in
 Durbin & Koopman, *Time Series Analysis by State Space Methods*; the chain as in Gelman, Roberts & Gilks 1996.
@@ -37,14 +38,16 @@ Array = NDArray[np.float64]
 MONTH_DAYS = 30.4375
 JUMP = 1e3
 """σ of a step of unknown size, in median σ of the checks: so wide that it says nothing."""
-DRAWS, APART, BURN_IN, LAW_MOVES = 64, 12, 150, 4
-"""Draws of the posterior that are handed on, sweeps of the chain between two of them and before the first; moves of the
-law in a sweep, for its parameters hang together most."""
+DRAWS, APART, BURN_IN, SHARED_MOVES = 64, 12, 150, 4
+"""Draws of the posterior that are handed on, sweeps of the chain between two of them and before the first; moves of
+what the axes share in a sweep, for that hangs together most."""
 JUMP_SCALE = 2.38
 """Of a proposal, over the root of its dimensions: the best for a Gaussian (Gelman, Roberts & Gilks 1996)."""
-LAW_MEAN, LAW_SIGMA = np.array([0.4, 0.4, 0.0, math.log(3.5)]), np.array([1.0, 0.7, 0.1, 1.5])
-"""Prior of the law's decline, bend, onset and ln τ [months]: power (bend 0) and exponential (1) are alike to it."""
-LAW = len(LAW_MEAN)
+SHARED_MEAN = np.array([0.4, 0.4, 0.0, math.log(3.5), math.log(1000.0)])
+SHARED_SIGMA = np.array([1.0, 0.7, 0.1, 1.5, 1.5])
+"""Prior of what the axes share: the law's decline, bend, onset and ln τ [months], to which power (bend 0) and
+exponential (1) are alike; and ln relaxation [months], most of which is a free walk to a few years of checks."""
+SHARED = len(SHARED_MEAN)
 SIZE_MEAN = np.array([0.0, math.log(3.0), 0.0, math.log(0.1), math.log(0.3)])
 SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5])
 """Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ; walk a √month."""
@@ -52,7 +55,8 @@ FARTHEST = 6.0
 """Prior σ beyond which nothing is looked for."""
 STEP = 1e-3
 """Of numeric derivatives."""
-START_DECLINES, START_SPREADS, START_WALKS = (-0.4, 0.0, 0.4, 0.8, 1.6), (1.0, 3.0, 10.0, 30.0, 100.0), (0.1, 1.0)
+START_DECLINES, START_RELAXATIONS = (-0.4, 0.0, 0.4, 0.8, 1.6), (10.0, 1000.0)
+START_SPREADS, START_WALKS = (1.0, 3.0, 10.0, 30.0, 100.0), (0.1, 1.0)
 """Where the search for the peak may begin; sizes in units of the checks' median σ."""
 STARTS = 8
 """Of the search for the peak, at most, each where the last one lost its way: what it learnt of the curvature far from
@@ -106,7 +110,10 @@ class TermHistories:
 
 @dataclass(frozen=True)
 class Sizes:
-    """The population: its drift ``law``; in SI ``mean`` and ``spread`` of the first year, ``walk`` a √month."""
+    """The population: its drift ``law``; in SI ``mean`` and ``spread`` of the first year, ``walk`` a √month.
+
+    The walk is pulled back within ``relaxation_months``; infinite: it is free.
+    """
 
     law: DriftLaw
     mean: float
@@ -114,18 +121,20 @@ class Sizes:
     offset: float
     walk: float
     scatter: float
+    relaxation_months: float
 
     @property
     def row(self) -> Array:
-        """Return mean, spread², offset², walk², scatter², as the filter takes them."""
-        return np.array([self.mean, self.spread**2, self.offset**2, self.walk**2, self.scatter**2])
+        """Return mean, spread², offset², walk², scatter² and the walk's pull [1/month], as the filter takes them."""
+        squares = np.square([self.spread, self.offset, self.walk, self.scatter])
+        return np.array([self.mean, *squares, 1.0 / self.relaxation_months])
 
 
 @dataclass(frozen=True)
 class PopulationFit:
     """What a fleet says of one term: the ``best`` sizes, and equally weighted ``draws`` of the posterior.
 
-    Draw d of each axis of a kind has the same law.
+    Draw d of each axis of a kind has the same law and relaxation.
     """
 
     best: Sizes
@@ -133,7 +142,7 @@ class PopulationFit:
 
 
 class _Axis:
-    """Log posterior density of one term at (its law, its five sizes), without the law's own prior."""
+    """Log posterior density of one term at (what axes share, its five sizes), without the prior of the former."""
 
     def __init__(self, histories: TermHistories) -> None:
         unit = histories.unit
@@ -143,54 +152,56 @@ class _Axis:
         self._values = histories.value / unit, (histories.sigma / unit) ** 2, histories.jump / unit**2
 
     def __call__(self, point: Array) -> float:
-        own = point[LAW:]
+        own = point[SHARED:]
         deviation = (own - SIZE_MEAN) / SIZE_SIGMA
         if np.any(np.abs(deviation[1:]) > FARTHEST):
             return -math.inf
-        sizes = np.concatenate([own[:1], np.exp(2.0 * own[1:])])
+        sizes = np.array([own[0], *np.exp(2.0 * own[1:]), math.exp(-point[SHARED - 1])])
         growth = _law(point).growth(self._ages)[self._age]
         likelihood = log_likelihood(self._offsets, self._months, growth, *self._values, sizes)
         return likelihood - 0.5 * float(deviation @ deviation)
 
     def sizes(self, point: Array) -> Sizes:
         """Return a point in SI."""
-        mean, *rest = point[LAW:].tolist()
-        return Sizes(_law(point), mean * self._unit, *(math.exp(value) * self._unit for value in rest))
+        mean = float(point[SHARED]) * self._unit
+        spread, offset, walk, scatter = (np.exp(point[SHARED + 1 :]) * self._unit).tolist()
+        return Sizes(_law(point), mean, spread, offset, walk, scatter, math.exp(point[SHARED - 1]))
 
     def point(self, sizes: Sizes) -> Array:
         """Return sizes in SI as a point."""
         own = [sizes.spread, sizes.offset, sizes.walk, sizes.scatter]
-        law = [sizes.law.decline, sizes.law.bend, sizes.law.onset, math.log(sizes.law.law_months)]
-        return np.array([*law, sizes.mean / self._unit, *np.log(np.array(own) / self._unit)])
+        law = [sizes.law.decline, sizes.law.bend, sizes.law.onset]
+        times = np.log([sizes.law.law_months, sizes.relaxation_months])
+        return np.array([*law, *times, sizes.mean / self._unit, *np.log(np.array(own) / self._unit)])
 
 
-def _starts(law: Array) -> Iterator[Array]:
-    """Yield points of one axis with this law, spread and walk between small and large."""
+def _starts(shared: Array) -> Iterator[Array]:
+    """Yield points of one axis with this law and relaxation, spread and walk between small and large."""
     mean, _, offset, _, scatter = SIZE_MEAN
     for spread, walk in itertools.product(START_SPREADS, START_WALKS):
-        yield np.array([*law, mean, math.log(spread), offset, math.log(walk), scatter])
+        yield np.array([*shared, mean, math.log(spread), offset, math.log(walk), scatter])
 
 
 def _law(point: Array) -> DriftLaw:
-    decline, bend, onset, log_months = point[:LAW].tolist()
+    decline, bend, onset, log_months, _ = point[:SHARED].tolist()
     return DriftLaw(decline, bend, onset, math.exp(log_months))
 
 
 class _Kind:
-    """Log posterior of all axes of a kind at (law, five sizes for each axis)."""
+    """Log posterior of all axes of a kind at (what they share, five sizes for each axis)."""
 
     def __init__(self, terms: Sequence[TermHistories]) -> None:
         self.axes = [_Axis(term) for term in terms]
         own = len(SIZE_MEAN)
-        self._places = [np.r_[0:LAW, LAW + own * k : LAW + own * (k + 1)] for k in range(len(terms))]
+        self._places = [np.r_[0:SHARED, SHARED + own * k : SHARED + own * (k + 1)] for k in range(len(terms))]
 
     def start(self) -> Array:
         """Return the best of a few coarse points: from a law far off, the way to the peak of a long history is lost."""
-        best, height = LAW_MEAN, -math.inf
-        for decline in START_DECLINES:
-            law = np.array([decline, *LAW_MEAN[1:]])
-            own = [max(_starts(law), key=axis) for axis in self.axes]
-            point = np.concatenate([law, *[one[LAW:] for one in own]])
+        best, height = SHARED_MEAN, -math.inf
+        for decline, relaxation in itertools.product(START_DECLINES, START_RELAXATIONS):
+            shared = np.array([decline, *SHARED_MEAN[1:-1], math.log(relaxation)])
+            own = [max(_starts(shared), key=axis) for axis in self.axes]
+            point = np.concatenate([shared, *[one[SHARED:] for one in own]])
             if (here := self(point)) > height:
                 best, height = point, here
         return best
@@ -201,20 +212,20 @@ class _Kind:
 
     def own_places(self, axis: int) -> NDArray[np.int64]:
         """Return where in a point an axis has its sizes."""
-        return np.asarray(self._places[axis][LAW:])
+        return np.asarray(self._places[axis][SHARED:])
 
     def sizes(self, point: Array) -> list[Sizes]:
         """Return every axis's sizes at a point."""
         return [axis.sizes(self.of_axis(point, number)) for number, axis in enumerate(self.axes)]
 
     def point(self, sizes: Sequence[Sizes]) -> Array:
-        """Return the point at which the axes have these sizes, with one law."""
+        """Return the point at which the axes have these sizes, with one law and relaxation."""
         own = [axis.point(one) for axis, one in zip(self.axes, sizes, strict=True)]
-        return np.concatenate([own[0][:LAW], *[point[LAW:] for point in own]])
+        return np.concatenate([own[0][:SHARED], *[point[SHARED:] for point in own]])
 
     def heights(self, point: Array) -> Array:
-        """Return the parts of the log posterior: one for each axis, then the law's prior."""
-        deviation = (point[:LAW] - LAW_MEAN) / LAW_SIGMA
+        """Return the parts of the log posterior: one for each axis, then the prior of what they share."""
+        deviation = (point[:SHARED] - SHARED_MEAN) / SHARED_SIGMA
         if np.any(np.abs(deviation) > FARTHEST):
             return np.full(len(self.axes) + 1, -math.inf)
         own = [axis(self.of_axis(point, number)) for number, axis in enumerate(self.axes)]
@@ -227,7 +238,7 @@ class _Kind:
     def gradient(self, point: Array) -> Array:
         """Return the slope by central differences, an axis at a time: nothing of one axis concerns another's sizes."""
         slope = np.zeros(len(point))
-        slope[:LAW] = -(point[:LAW] - LAW_MEAN) / LAW_SIGMA**2
+        slope[:SHARED] = -(point[:SHARED] - SHARED_MEAN) / SHARED_SIGMA**2
         for number, axis in enumerate(self.axes):
             here = self.of_axis(point, number)
             for own, place in enumerate(self._places[number]):
@@ -261,7 +272,7 @@ def best_sizes(terms: Sequence[TermHistories], near: Sequence[Sizes] | None = No
 
 
 def fit_population(terms: Sequence[TermHistories], near: Sequence[Sizes] | None = None) -> list[PopulationFit]:
-    """Fit the terms of one kind of sensor (its axes): sizes of their own, the law in common.
+    """Fit the terms of one kind of sensor (its axes): sizes of their own, law and relaxation in common.
 
     Parameters
     ----------
@@ -296,16 +307,16 @@ def _peak(posterior: _Kind, near: Sequence[Sizes] | None) -> Array:
 def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Array]:
     """Return draws of a Metropolis chain that starts at the peak.
 
-    A sweep moves the sizes of each axis, then the law with all sizes along the ridge that the curvature at the peak
-    tells of. Shapes and sizes of the moves are from that curvature as well.
+    A sweep moves the sizes of each axis, then what they share with all sizes along the ridge that the curvature at the
+    peak tells of. Shapes and sizes of the moves are from that curvature as well.
     """
     curvature = posterior.curvature(peak)
     values, vectors = np.linalg.eigh(curvature)
     precision = (vectors * np.maximum(values, SIZE_SIGMA.max() ** -2.0)) @ vectors.T
     own = [posterior.own_places(axis) for axis in range(len(posterior.axes))]
     roots = [_root(np.linalg.inv(precision[np.ix_(places, places)])) for places in own]
-    law_root = _root(np.linalg.inv(precision)[:LAW, :LAW])
-    ridge = np.vstack([np.eye(LAW), -np.linalg.solve(precision[LAW:, LAW:], precision[LAW:, :LAW])])
+    shared_root = _root(np.linalg.inv(precision)[:SHARED, :SHARED])
+    ridge = np.vstack([np.eye(SHARED), -np.linalg.solve(precision[SHARED:, SHARED:], precision[SHARED:, :SHARED])])
     point, heights = peak.copy(), posterior.heights(peak)
     draws = []
     for sweep in range(1, BURN_IN + DRAWS * APART + 1):
@@ -315,9 +326,9 @@ def _drawn(posterior: _Kind, peak: Array, rng: np.random.Generator) -> list[Arra
             height = posterior.axes[axis](posterior.of_axis(moved, axis))
             if math.log(rng.random()) < height - heights[axis]:
                 point, heights[axis] = moved, height
-        for _ in range(LAW_MOVES):
+        for _ in range(SHARED_MOVES):
             reach = 2.0 ** rng.standard_normal()  # the ridge is bent: no one size of move suits all of it
-            moved = point + ridge @ (law_root @ rng.standard_normal(LAW)) * reach
+            moved = point + ridge @ (shared_root @ rng.standard_normal(SHARED)) * reach
             proposed = posterior.heights(moved)
             if math.log(rng.random()) < float(np.sum(proposed) - np.sum(heights)):
                 point, heights = moved, proposed

@@ -1,7 +1,8 @@
 """The Kalman filter of the drift model of :mod:`inertial.ageing`, one block at a time.
 
-State: offset, slope, walk. A check sees offset + h·slope + walk. ``sizes`` are mean, spread², offset², walk², scatter²,
-``jump`` the variance of a step before each check, mostly 0.
+State: offset, slope, walk. A check sees offset + h·slope + walk. ``sizes`` are mean, spread², offset², walk², scatter²
+and the rate [1/month] at which the walk is pulled back, ``jump`` the variance of a step before each check, mostly 0: a
+step stays, and therefore is the offset's.
 """
 
 from __future__ import annotations
@@ -25,17 +26,33 @@ def begin(sizes: Array) -> Belief:
 
 
 @compiled
+def pulled(elapsed: float, rate: float) -> tuple[float, float]:
+    """Return what share of a walk is left after ``elapsed`` months, and the variance that came in, of a unit walk."""
+    pull = 2.0 * rate * elapsed
+    return np.exp(-0.5 * pull), elapsed * (-np.expm1(-pull) / pull if pull > 0.0 else 1.0)
+
+
+@compiled
 def take(
-    belief: Belief, elapsed: float, jump: float, growth: float, value: float, variance: float, sizes: Array
+    belief: Belief,
+    walked: tuple[float, float],
+    jump: float,
+    growth: float,
+    value: float,
+    variance: float,
+    sizes: Array,
 ) -> tuple[Belief, float, float]:
-    """Take in one check, ``elapsed`` months after the one before.
+    """Take in one check; ``walked``: since the one before (:func:`pulled`).
 
     Returns
     -------
     The belief after it, its innovation and the variance of that.
     """
     a, s, w, aa, ss, ww, cross_as, aw, sw = belief
-    ww += sizes[3] * elapsed + jump
+    left, came = walked
+    w, aw, sw = w * left, aw * left, sw * left
+    ww = ww * left * left + sizes[3] * came
+    aa += jump
     ga = aa + growth * cross_as + aw
     gs = cross_as + growth * ss + sw
     gw = aw + growth * sw + ww
@@ -63,11 +80,15 @@ def log_likelihood(
 ) -> float:
     """Return the log likelihood of all checks of all blocks; a check just behind a step of unknown size is free."""
     total = 0.0
+    elapsed, walked = 0.0, pulled(0.0, sizes[5])
     for block in range(len(offsets) - 1):
         belief = begin(sizes)
         before = 0.0
         for i in range(offsets[block], offsets[block + 1]):
-            belief, v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+            if months[i] - before != elapsed:  # mostly it is a month again
+                elapsed = months[i] - before
+                walked = pulled(elapsed, sizes[5])
+            belief, v, f = take(belief, walked, jump[i], growth[i], value[i], variance[i], sizes)
             before = months[i]
             if jump[i] == 0.0:
                 total -= 0.5 * (np.log(2.0 * np.pi * f) + v * v / f)
@@ -83,7 +104,8 @@ def innovations(
     belief = begin(sizes)
     before = 0.0
     for i in range(len(value)):
-        belief, v, f = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+        walked = pulled(months[i] - before, sizes[5])
+        belief, v, f = take(belief, walked, jump[i], growth[i], value[i], variance[i], sizes)
         before = months[i]
         innovation[i], deviation[i] = v, np.sqrt(f)
     return innovation, deviation
@@ -101,7 +123,8 @@ def step_responses(months: Array, growth: Array, variance: Array, jump: Array, s
         before = 0.0
         for i in range(count):
             value = 1.0 if i >= k else 0.0
-            belief, v, _ = take(belief, months[i] - before, jump[i], growth[i], value, variance[i], silent)
+            walked = pulled(months[i] - before, sizes[5])
+            belief, v, _ = take(belief, walked, jump[i], growth[i], value, variance[i], silent)
             before = months[i]
             responses[k, i] = v
     return responses
@@ -123,7 +146,8 @@ def last_beliefs(
         belief = begin(sizes)
         before = 0.0
         for i in range(offsets[block], offsets[block + 1]):
-            belief, _, _ = take(belief, months[i] - before, jump[i], growth[i], value[i], variance[i], sizes)
+            walked = pulled(months[i] - before, sizes[5])
+            belief, _, _ = take(belief, walked, jump[i], growth[i], value[i], variance[i], sizes)
             before = months[i]
         last[block] = np.array(belief)
     return last

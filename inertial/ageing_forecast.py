@@ -2,7 +2,8 @@
 
 For each draw of the population (:func:`inertial.ageing.fit_population`) the block's own offset, rate and walk are drawn
 given its checks, and the walk goes on. A path leaves when it is outside ±limit at a node, or between two nodes with the
-probability that a Brownian bridge from one to the other touches the limit, exp(−2·d₁·d₂/(walk²·Δt)).
+probability that a Brownian bridge from one to the other touches the limit, exp(−2·d₁·d₂/(walk²·Δt)): what pulls the
+walk back changes that by the square of Δt/relaxation only.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inertial.ageing import Array, PopulationFit, TermHistories
-from inertial.ageing_filter import last_beliefs
+from inertial.ageing_filter import last_beliefs, pulled
 from inertial.compiled import compiled
 
 HORIZON_MONTHS = 240.0
@@ -61,22 +62,23 @@ def leaving_months(histories: TermHistories, fit: PopulationFit, limit: float, s
     left = np.full((histories.blocks, len(fit.draws), PATHS), np.inf)
     for number, draw in enumerate(fit.draws):
         growth = draw.law.growth(months[:, None] + NODES_MONTHS)
-        _walk(states[number], roots[number], growth, NODES_MONTHS, draw.walk, limit, rng, left[:, number])
+        walk = draw.walk, 1.0 / draw.relaxation_months
+        _walk(states[number], roots[number], growth, NODES_MONTHS, walk, limit, rng, left[:, number])
     return left.reshape(histories.blocks, -1)
 
 
 def bands(histories: TermHistories, fit: PopulationFit) -> tuple[Array, Array, Array]:
     """Return months since calibration, mean and 1σ [SI] of each block's term from its last check on, (blocks, n)."""
     states, roots, months = _last_states(histories, fit)
-    ahead = months[:, None] + np.arange(BAND_MONTHS + 1)
-    walked = np.arange(BAND_MONTHS + 1)
+    later = np.arange(BAND_MONTHS + 1.0)
+    ahead = months[:, None] + later
     means, variances = np.empty((2, len(fit.draws), *ahead.shape))
     for number, draw in enumerate(fit.draws):
-        one = np.ones_like(ahead)
-        row = np.stack([one, draw.law.growth(ahead), one], axis=-1)
+        kept, came = np.array([pulled(elapsed, 1.0 / draw.relaxation_months) for elapsed in later]).T
+        row = np.stack(np.broadcast_arrays(1.0, draw.law.growth(ahead), kept), axis=-1)
         means[number] = np.einsum("bmk,bk->bm", row, states[number])
         seen = np.einsum("bmk,bkj->bmj", row, roots[number])
-        variances[number] = np.sum(seen**2, axis=-1) + draw.walk**2 * walked
+        variances[number] = np.sum(seen**2, axis=-1) + draw.walk**2 * came
     return ahead, means.mean(axis=0), np.sqrt(variances.mean(axis=0) + means.var(axis=0))
 
 
@@ -113,12 +115,20 @@ def _walk(
     roots: Array,
     growth: Array,
     nodes: Array,
-    walk: float,
+    walk: tuple[float, float],
     limit: float,
     rng: np.random.Generator,
     left: Array,
 ) -> None:
-    """Fill ``left`` (blocks, paths) with the months after which each path leaves ±limit."""
+    """Fill ``left`` (blocks, paths) with the months after which each path leaves ±limit.
+
+    ``walk``: its size a √month, and the rate [1/month] at which it is pulled back.
+    """
+    size, rate = walk
+    kept, kick = np.empty(len(nodes)), np.empty(len(nodes))
+    for node in range(1, len(nodes)):
+        kept[node], came = pulled(nodes[node] - nodes[node - 1], rate)
+        kick[node] = size * np.sqrt(came)
     for block in range(left.shape[0]):
         for path in range(left.shape[1]):
             a, b, c = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
@@ -130,13 +140,13 @@ def _walk(
             for node in range(1, len(nodes)):
                 elapsed = nodes[node] - nodes[node - 1]
                 before = here
-                state[2] += walk * np.sqrt(elapsed) * rng.standard_normal()
+                state[2] = kept[node] * state[2] + kick[node] * rng.standard_normal()
                 here = state[0] + growth[block, node] * state[1] + state[2]
                 if abs(here) >= limit:
                     share = (limit - abs(before)) / (abs(here) - abs(before))
                     left[block, path] = nodes[node - 1] + share * elapsed
                     break
-                scale = -2.0 / (walk * walk * elapsed)
+                scale = -2.0 / (size * size * elapsed)
                 above = scale * (limit - before) * (limit - here)
                 below = scale * (limit + before) * (limit + here)
                 if max(above, below) > NEVER and rng.random() < np.exp(above) + np.exp(below):

@@ -27,9 +27,9 @@ from inertial.ageing import JUMP, Array, Sizes, TermHistories
 from inertial.ageing_filter import innovations, step_responses
 from inertial.ageing_law import YEAR_MONTHS
 
-AFTER = {1: 0.04, 2: 0.05, 3: 0.48, 4: 0.37, 6: 0.03, 12: 0.03}
+AFTER = {1: 0.02, 2: 0.02, 3: 0.03, 4: 0.90, 12: 0.03}
 """Checks that a candidate step has behind it, and the share of a look's allowance that such candidates get: most for
-the third and fourth, by which a step is to be found; some for large steps at once and for small ones late."""
+the fourth, by which a step is to be found; some for large steps at once and for small ones late."""
 FALSE_ALARMS_PER_BLOCK_YEAR = 0.01
 LEAST_SHARE = 20.0
 """No threshold lies below that of so many times its own allowance: where to begin looking for it."""

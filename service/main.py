@@ -15,7 +15,7 @@ from service.api.gate import is_loopback
 from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
 from service.logs import configure_logs
-from service.native_memory import give_back
+from service.native_memory import give_back, trim
 from service.security.tokens import Tokens
 from service.store import StoreError
 from service.watchdog import Notifier
@@ -73,6 +73,7 @@ def run_service(settings: Settings) -> None:
     # three times as long as a pseudo-terminal holds a 2 kHz block's frames.
     gc.collect()
     gc.freeze()
+    trim()
     notifier.ready()
     try:
         server.run([listening])

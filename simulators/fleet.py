@@ -63,8 +63,12 @@ class FleetTerm:
     def _leaves(self, block: int, limit: float) -> float:
         last = float(self.histories.months[self.histories.offsets[block + 1] - 1])
         later = self.truth_months >= last - 1e-9
-        outside = np.abs(self.truth[block, later]) >= limit
-        return float(self.truth_months[later][np.argmax(outside)] - last) if outside.any() else np.inf
+        months, beyond = self.truth_months[later] - last, np.abs(self.truth[block, later]) - limit
+        if beyond.max() < 0.0:
+            return np.inf
+        first = int(np.argmax(beyond >= 0.0))
+        nodes = slice(max(first - 1, 0), first + 1)  # the truth goes straight from one to the other
+        return float(np.interp(0.0, beyond[nodes], months[nodes]))
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ class Fault:
     """Whether the block must be streaming for it to happen, and to be undone."""
     ends: bool = False
     """Whether the service's process ends by it."""
+    turns: bool = False
+    """Whether it turns the block and later back; of two such at once neither finds the way back."""
 
 
 def _unplug(low_s: float, high_s: float) -> Callable[[Plant, Random], list[Undo]]:
@@ -144,8 +146,8 @@ FAULTS = (
     Fault("block_restart", "the block's supply fails for a moment", _restart, needs_line=True),
     Fault("block_power", "the block and its line are gone for 2 to 120 s", _power),
     Fault("stuck_sensor", "a channel repeats its value for 3 to 60 s", _stuck, needs_line=True),
-    Fault("nudge", "the block is turned by 0.01° to 2° and later back", _move(0.01, 2.0), needs_line=True),
-    Fault("turn", "the block is turned by 10° to 60° and later back", _move(10.0, 60.0), needs_line=True),
+    Fault("nudge", "the block is turned by 0.01° to 2° and later back", _move(0.01, 2.0), needs_line=True, turns=True),
+    Fault("turn", "the block is turned by 10° to 60° and later back", _move(10.0, 60.0), needs_line=True, turns=True),
     Fault("heat", "the block warms or cools by 2.5 to 8 °C", _heat, needs_line=True),
     Fault("kill", "SIGKILL of the service; started again 1 to 60 s later", _kill, ends=True),
     Fault("terminate", "SIGTERM of the service; started again 1 to 60 s later", _terminate, ends=True),

@@ -43,10 +43,10 @@ def _summary(found: dict[str, Any], seed: int) -> list[str]:
         lines.append("- memory: too short to tell whether it grows")
     else:
         lines.append(
-            f"- memory: {found['largest_resident_mb']:.0f} MB at most; slope {growth['mb_per_day']:+.2f} "
-            f"± {growth['sigma_mb_per_day']:.2f} MB a day (1σ; neighbouring five minutes correlate by "
-            f"{growth['correlation']:.2f}; p = {growth['p_value']:.2g} with {growth['freedom']} degrees of freedom; "
-            f"95 %: below {growth['upper_95_mb_per_day']:.1f} MB a day)"
+            f"- memory: {found['largest_resident_mb']:.0f} MB at most; without pages of files, slope "
+            f"{growth['mb_per_day']:+.2f} ± {growth['sigma_mb_per_day']:.2f} MB a day (1σ; neighbouring five minutes "
+            f"correlate by {growth['correlation']:.2f}; p = {growth['p_value']:.2g} with {growth['freedom']} degrees "
+            f"of freedom; 95 %: below {growth['upper_95_mb_per_day']:.1f} MB a day)"
         )
     lines.append(f"- open files: {found['largest_open_files']} at most")
     return lines

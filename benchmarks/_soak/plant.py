@@ -211,14 +211,21 @@ def die_with_parent() -> None:
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 
 
-def resident_mb(pid: int) -> float | None:
-    """Return the memory that a process holds [MB], None when it is gone."""
+def memory_mb(pid: int) -> tuple[float, float] | None:
+    """Return the memory that a process holds [MB], whole and its own, None when it is gone.
+
+    Its own is without the pages of files, mostly of shared code: these the kernel takes away and gives back as it
+    likes, megabytes at once, which would hide what the process itself gains.
+    """
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return None
-    held = next((line for line in status.splitlines() if line.startswith("VmRSS:")), None)
-    return int(held.split()[1]) / 1024.0 if held is not None else None
+    lines = (line.split() for line in status.splitlines())
+    kilobytes = {words[0]: int(words[1]) for words in lines if words[0] in ("VmRSS:", "RssFile:")}
+    if len(kilobytes) < 2:
+        return None
+    return kilobytes["VmRSS:"] / 1024.0, (kilobytes["VmRSS:"] - kilobytes["RssFile:"]) / 1024.0
 
 
 def open_files(pid: int) -> int:

@@ -91,6 +91,7 @@ class Population(BaseModel):
     offset: float
     walk: float
     scatter: float
+    relaxation_months: float
     sigma: dict[str, float]
 
 

@@ -15,6 +15,9 @@ from service.store.errors import StoreError
 
 BUSY_S = 10.0
 """Real seconds that a write waits for another process's."""
+CACHE_KB = 256
+"""Of the file's pages that a connection keeps. SQLite's own 2 MB for each of the pool's connections fill as the store
+grows, for weeks; and the kernel keeps the file's pages already, once for all of them."""
 
 
 class SqliteFile:
@@ -92,4 +95,5 @@ def _prepare_connection(connection: Any, _record: Any) -> None:
     cursor.execute("PRAGMA journal_mode=WAL")
     cursor.execute("PRAGMA synchronous=FULL")
     cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.execute(f"PRAGMA cache_size=-{CACHE_KB}")
     cursor.close()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom, multivariate_normal, norm, poisson
@@ -16,19 +19,24 @@ from simulators.fleet import FleetTerm, Shock, TermLaw, simulate_term
 
 MONTHLY = np.arange(1.0, 37.0)
 LOGARITHMIC = DriftLaw(decline=12.0 / 18.0, bend=0.0, onset=0.0, law_months=6.0)
-TRUE = Sizes(LOGARITHMIC, mean=0.0, spread=10.0, offset=1.0, walk=0.15, scatter=0.3)
+TRUE = Sizes(LOGARITHMIC, mean=0.0, spread=10.0, offset=1.0, walk=0.15, scatter=0.3, relaxation_months=math.inf)
 """What ``TermLaw()`` plants."""
 
 
 def dense_covariance(months: np.ndarray, sigma: np.ndarray, sizes: Sizes) -> np.ndarray:
     """The model's covariance written out, with nothing of the filter."""
     growth = np.log1p(months / 6.0) / np.log1p(2.0)
-    walk = sizes.walk**2 * np.minimum(months[:, None], months[None, :])
+    earlier, apart = np.minimum.outer(months, months), np.abs(np.subtract.outer(months, months))
+    rate = 1.0 / sizes.relaxation_months
+    came = -np.expm1(-2.0 * rate * earlier) / (2.0 * rate) if rate > 0.0 else earlier
+    walk = sizes.walk**2 * came * np.exp(-rate * apart)
     own = np.diag(sigma**2 + sizes.scatter**2)
     return own + walk + sizes.offset**2 + sizes.spread**2 * np.outer(growth, growth)
 
 
-def test_the_likelihood_is_that_of_the_dense_gaussian() -> None:
+@pytest.mark.parametrize("relaxation_months", [4.0, math.inf])
+def test_the_likelihood_is_that_of_the_dense_gaussian(relaxation_months: float) -> None:
+    sizes = replace(TRUE, walk=0.8, relaxation_months=relaxation_months)
     rng = np.random.default_rng(1)
     blocks = []
     expected = 0.0
@@ -37,11 +45,10 @@ def test_the_likelihood_is_that_of_the_dense_gaussian() -> None:
         sigma = rng.uniform(0.5, 2.0, count)
         value = rng.standard_normal(count) * 5.0
         growth = np.log1p(months / 6.0) / np.log1p(2.0)
-        expected += multivariate_normal(1.5 * growth, dense_covariance(months, sigma, TRUE)).logpdf(value)
+        expected += multivariate_normal(1.5 * growth, dense_covariance(months, sigma, sizes)).logpdf(value)
         blocks.append((months, value, sigma))
     histories = TermHistories.of(blocks)
-    row = TRUE.row
-    row[0] = 1.5
+    row = replace(sizes, mean=1.5).row
     found = log_likelihood(
         histories.offsets,
         histories.months,
@@ -67,6 +74,20 @@ def test_a_marked_step_leaves_the_likelihood_of_what_does_not_depend_on_it() -> 
         return log_likelihood(*rows, histories.jump, TRUE.row)
 
     assert likelihood(whole) == pytest.approx(likelihood(short), rel=1e-12)
+
+
+def test_a_marked_step_stays_also_where_the_walk_is_pulled_back() -> None:
+    """All checks behind it may lie as much higher as they like."""
+    rng = np.random.default_rng(9)
+    months, value, sigma = np.arange(1.0, 21.0), rng.standard_normal(20), np.ones(20)
+    pulled_back = replace(TRUE, walk=0.5, relaxation_months=3.0)
+
+    def likelihood(shift: float) -> float:
+        histories = with_steps(TermHistories.of([(months, value + np.where(months > 8.0, shift, 0.0), sigma)]), [8])
+        rows = histories.offsets, histories.months, TRUE.law.growth(months), histories.value, histories.sigma**2
+        return log_likelihood(*rows, histories.jump, pulled_back.row)
+
+    assert likelihood(30.0) == pytest.approx(likelihood(0.0), abs=1e-2)  # 30²/10⁶ of the step's own wide σ, and less
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +190,7 @@ def test_steps_are_found_where_they_are_and_measured() -> None:
 def test_slow_drift_however_fast_is_no_step() -> None:
     law = TermLaw(spread=300.0)
     term = simulate_term(law, 40, MONTHLY, 36.0, np.random.default_rng(8))
-    sizes = Sizes(LOGARITHMIC, mean=0.0, spread=300.0, offset=1.0, walk=0.15, scatter=0.3)
+    sizes = Sizes(LOGARITHMIC, mean=0.0, spread=300.0, offset=1.0, walk=0.15, scatter=0.3, relaxation_months=math.inf)
     alarms = sum(len(steps) for steps in find_steps(term.histories, sizes, 0.01))
     assert alarms <= poisson.ppf(0.999, 0.01 * 40 * 3.0)
 

@@ -1,4 +1,4 @@
-"""What arrays leave behind when they are freed between things that live long, with and without giving it back."""
+"""What things leave behind when they are freed between others that live long, with and without giving it back."""
 
 from __future__ import annotations
 
@@ -9,28 +9,53 @@ import pytest
 
 PROGRAM = """
 import sys
+from threading import Barrier, Lock, Thread
 import numpy as np
-from service.native_memory import give_back
+from service.native_memory import give_back, trim
 
 def resident_mb():
     line = next(line for line in open("/proc/self/status") if line.startswith("VmRSS"))
     return int(line.split()[1]) / 1024
 
-told = give_back() if sys.argv[1] == "given back" else True
-lasting, before = [], resident_mb()
-for _ in range(3):
+def arrays_come_and_go(lasting):
     arrays = []
     for _ in range(100):
         arrays.append(np.ones(40_000))
         lasting.append(bytes(2_000))
-    del arrays
+
+def small_things_come_and_go(lasting):
+    small = []
+    for _ in range(500):
+        small.append(bytes(50_000))
+        lasting.append(bytes(600))
+
+def threads_come_and_go(lasting):
+    turn, all_done = Lock(), Barrier(8)
+    def work():
+        with turn:
+            small_things_come_and_go(lasting)
+        all_done.wait()
+    threads = [Thread(target=work) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+come_and_go, how = globals()[sys.argv[1].replace(" ", "_") + "_come_and_go"], sys.argv[2]
+told = give_back() if how != "as it comes" else True
+lasting, before = [], resident_mb()
+for _ in range(3):
+    come_and_go(lasting)
+if how == "trimmed":
+    trim()
 print(told, resident_mb() - before)
 """
 
 
-def left_mb(how: str) -> float:
-    """Return by how much a process has grown when the arrays are gone, of which 0.6 MB live on."""
-    done = subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, text=True, timeout=60, check=True)
+def left_mb(what: str, how: str) -> float:
+    """Return by how much a process has grown when all that came has gone, but for what lives on: 9 MB at most."""
+    command = [sys.executable, "-c", PROGRAM, what, how]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     told, left = done.stdout.split()
     if told != "True":
         pytest.skip("this C library has no mallopt")
@@ -38,5 +63,15 @@ def left_mb(how: str) -> float:
 
 
 def test_memory_of_arrays_goes_back_to_the_kernel() -> None:
-    assert left_mb("as it comes") > 10.0  # or there would be nothing to be told apart
-    assert left_mb("given back") < 3.0
+    assert left_mb("arrays", "as it comes") > 10.0  # or there would be nothing to be told apart
+    assert left_mb("arrays", "given back") < 3.0
+
+
+def test_free_pages_inside_the_heap_go_back_when_it_is_trimmed() -> None:
+    assert left_mb("small things", "given back") > 20.0
+    assert left_mb("small things", "trimmed") < 12.0  # two pages at most for each of 1500 things that live on
+
+
+def test_threads_use_what_others_left() -> None:
+    assert left_mb("threads", "as it comes") > 8 * 20.0  # each of eight keeps what it once needed
+    assert left_mb("threads", "given back") < 4 * 20.0
