@@ -501,7 +501,7 @@ _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4
 _WIDTH |= {"time": 0.0, "frequency": 0.0}
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
-_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 12}
+_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
 
 
 def search(library: Library, progress: Progress | None = None) -> Search:

@@ -203,8 +203,8 @@ class Evidence:
             if end - first >= _MANY and not scene.turns():
                 rows = rows.astype(np.float32)
             gram[b, :count, :count] = rows.T @ rows
-        self._gram[slot] = gram[:, 1:, 1:]
-        self._with_residual[slot] = gram[:, 1:, 0]
+        self._gram[slot] = np.ascontiguousarray(gram[:, 1:, 1:])
+        self._with_residual[slot] = np.ascontiguousarray(gram[:, 1:, 0])
         self._residual2[slot] = gram[:, 0, 0]
 
     def _felt(self, column: int, sigma: float) -> bool:

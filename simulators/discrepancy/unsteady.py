@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from simulators.discrepancy.compare import MEDIAN_OF_SQUARES, Scene
 
@@ -26,7 +26,7 @@ _SIGMA = 0.9  # of ln of a mean size of second differences, times the root of th
 _CERTAIN = 4.0  # σ by which noise must be larger
 _FEWEST = 24
 _ORDINARY = 0.9  # of the second differences
-_BANDS = 60
+_BANDS, _AROUND = 60, 9  # of the spectrum of noise, and how many a level is the median of
 _FEWEST_EACH = 3  # block means for each input that may act on them
 _SEEN = 1e-6  # of the largest input's bend
 
@@ -75,6 +75,7 @@ def _alike(noise: Array, n: int) -> Array:
     power = np.square(dct(noise, norm="ortho"))
     edges = np.unique(np.round(np.geomspace(1, len(power), _BANDS + 1)).astype(np.int64) - 1)
     level = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEDIAN_OF_SQUARES
+    level = median_filter(level, _AROUND, mode="nearest")  # a strong line leaks where stretches at rest are joined
     place = np.searchsorted(edges[1:-1], np.arange(n) * len(power) / n, side="right")
     random = np.random.default_rng(len(noise))
     return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))
