@@ -112,10 +112,11 @@ class Searcher:
         current = bare
         while len(adopted) < MOST_FINDINGS:
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
-            new, current = self._new(current, adopted)
-            if not new:
+            known = len(adopted)
+            adopted, current = self._with_new(current, adopted)
+            if len(adopted) == known:
                 break
-            adopted, current = self._polish(*self._settle([*adopted, *new], current, adopted))
+            adopted, current = self._polish(*self._settle(adopted, current, adopted[:known]))
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self._fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted)
@@ -134,15 +135,15 @@ class Searcher:
 
     # one step ----------------------------------------------------------------------------------------------------
 
-    def _new(self, current: Fit, adopted: Sequence[Hypothesis]) -> tuple[list[Hypothesis], Fit]:
-        """Return what to adopt next, a hypothesis, a pair of names or what noise has swallowed, and the fit with it."""
+    def _with_new(self, current: Fit, adopted: Sequence[Hypothesis]) -> tuple[list[Hypothesis], Fit]:
+        """Return what is adopted and what is next, a hypothesis, two names or what noise has swallowed; their fit."""
         best = self._next(current, adopted)
         if best is not None and best.hypothesis.kind is not Kind.EMPIRICAL:
-            return [best.hypothesis], best.fit
+            return [*adopted, best.hypothesis], best.fit
         pair = self._together(adopted, current)
         if pair is not None and (best is None or pair[0] > best.score - TIE):
             return pair[1:]
-        return ([best.hypothesis], best.fit) if best is not None else self._swallowed(adopted, current)
+        return ([*adopted, best.hypothesis], best.fit) if best is not None else self._swallowed(adopted, current)
 
     def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
         scored = self.rank(current, adopted)
@@ -165,9 +166,10 @@ class Searcher:
         return best if best is not None and best.score > MARGIN else None
 
     def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[float, list[Hypothesis], Fit] | None:
-        """Return two names that only together explain what a wide noise model takes for noise: score, names, fit.
+        """Return two names that only together explain what a wide noise model takes for noise: their score, fit of all.
 
-        Each alone leaves so much that the noise stays wide, in which it has gained next to nothing.
+        Each alone leaves so much that the noise stays wide, in which it has gained next to nothing. Beside the score
+        stands what is adopted with them, for the shapes of the others may have changed.
         """
         wide = [slot for slot in self.evidence.slots if current.noise[slot].level != STATED]
         if not wide:
@@ -183,7 +185,7 @@ class Searcher:
                 count, places = sum(len(h.columns) for h in pair), math.prod(self._places(h) for h in pair)
                 score = bayes_factor(fit.value - current.value, count, places)
                 if score > max(MARGIN, best[0] if best else 0.0):
-                    best = score, pair, fit
+                    best = score, both, fit
         return best
 
     def _timed(self, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
@@ -214,7 +216,7 @@ class Searcher:
         return list(found.values())
 
     def _swallowed(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
-        """Return what a wide noise model has swallowed, a name or a step, a line or two, and the fit with it.
+        """Return what is adopted with what wide noise has swallowed, a name or a step, a line or two; their fit.
 
         That something is there is certain by then, so that the name needs no more evidence than to stay.
         """
@@ -224,7 +226,7 @@ class Searcher:
             named = [s for s in self.rank(current, adopted) if s.hypothesis.kind is Kind.NAMED]
             named = [s for s in named if one.slot in self.evidence.touched(s.hypothesis.columns)]
             if named and named[0].score > 0.5 * MARGIN:
-                return [named[0].hypothesis], named[0].fit
+                return [*adopted, named[0].hypothesis], named[0].fit
             if len(one.steps) + len(one.lines_hz) > _FEW:
                 continue
             trials = [self.step_trial(one.slot, first) for first in one.steps]
@@ -234,8 +236,8 @@ class Searcher:
             count = sum(len(h.columns) for h in new)
             places = math.prod(self._places(h) for h in new)
             if bayes_factor(fit.value - current.value, count, places) > 0.5 * MARGIN:  # or it would not stay
-                return new, fit
-        return [], current
+                return [*adopted, *new], fit
+        return list(adopted), current
 
     def _sharpened(self, one: Scored, current: Fit, adopted: Sequence[Hypothesis]) -> Scored:
         """Return a name with its shape refined in the noise that is left with it."""

@@ -44,7 +44,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 
 def truth(moving: bool, warming: bool) -> Truth:
-    """Return rates at the middle of each interval; turns are slow enough for the middle to stand for the mean."""
+    """Return the mean rates over each interval: across the axis of a turn what is at its middle, times sin(x)/x."""
     n = round(RATE_HZ * DURATION_S)
     t = (np.arange(n) + 0.5) / RATE_HZ
     lat, az = math.radians(LATITUDE_DEG), math.radians(AZIMUTH_DEG)
@@ -61,12 +61,13 @@ def truth(moving: bool, warming: bool) -> Truth:
             start, end, rate, axis = turns[done]
             attitude = attitude @ rotation(axis, math.radians(rate) * (end - start))
             done += 1
-        now, spin = attitude, np.zeros(3)
+        now, spin, share = attitude, np.zeros(3), np.ones(3)
         if done < len(turns) and t[k] > turns[done][0]:
             start, end, rate, axis = turns[done]
             now = attitude @ rotation(axis, math.radians(rate) * (t[k] - start))
             spin[axis] = math.radians(rate)
-        accel[k], gyro[k] = now.T @ up, now.T @ earth + spin
+            share[np.arange(3) != axis] = np.sinc(rate / RATE_HZ / 360.0)
+        accel[k], gyro[k] = share * (now.T @ up), share * (now.T @ earth) + spin
     temperature = 20.0 + (15.0 * (1.0 - np.exp(-t / 100.0)) if warming else 0.0 * t)
     return {"t": t, "accel": accel, "gyro": gyro, "temperature": temperature}
 

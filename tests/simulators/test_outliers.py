@@ -45,3 +45,14 @@ def test_a_turn_that_came_late_leaves_no_wild_sample() -> None:
     place = round(start_s * RATE_HZ)
     samples["dtheta"][place, axis] -= 0.25 * np.radians(rate_dps) / RATE_HZ
     assert find_outliers(compare(replace(case, samples=samples), model()))[1] == []
+
+
+def test_a_glitch_where_a_turn_begins_is_no_lever_arm() -> None:
+    """Too tame to be taken out, and just where a sensor off the axis feels the table start."""
+    case = recording(None, 104)
+    samples = case.samples.copy()
+    for start_s, sigmas in ((TURNS[2][0], 12.0), (TURNS[3][0], -11.0)):
+        place = round(start_s * RATE_HZ) + 1
+        samples["dv"][place, 0] += sigmas * WHITE["accel"] / np.sqrt(RATE_HZ)
+        report = discrepancy([replace(case, samples=samples)], model())
+        assert report.findings == [], report.document["text"]

@@ -14,6 +14,7 @@ from drivers.recording import Recording, RecordingMeta
 from inertial.documents import BlockModel, ChannelNoise, Noise
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
+from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.whitening import cosine_basis
 
 STEP_RAD = 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
@@ -213,3 +214,16 @@ def test_lines_of_rounding_lie_where_the_table_really_turned(monkeypatch: pytest
         stated = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
         report = discrepancy([stated], model_in_steps(step))
         assert report.verdict == "none", (seed, report.document["text"])
+
+
+def test_rounding_is_no_noise_of_turns_where_a_free_model_overstates_the_noise() -> None:
+    """Stated at half a step, noise hides rounding; at the quarter that it may be, a still gyro rounds otherwise."""
+    case = recording(None, 37)
+    samples = case.samples.copy()
+    step = 4.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
+    samples["dtheta"] = in_steps(samples["dtheta"], step)
+    noise = model_in_steps(step, free=True).noise
+    doubled = {f"gyro_{axis}": ChannelNoise(white=2.0 * WHITE["gyro"], quantisation=step) for axis in "xyz"}
+    scene = compare(replace(case, samples=samples), BlockModel(noise=noise.model_copy(update=doubled)))
+    for column in (3, 4, 5):
+        assert np.all(level_spread(scene, column)[1] == 1.0)

@@ -111,3 +111,14 @@ def test_zeros_of_a_dead_band_are_no_stuck_register_however_long() -> None:
         samples["dtheta"][:, 2] = np.diff(np.rint(np.cumsum(sent)), prepend=0.0) * step
         scene = compare(Recording(samples, meta, case.path, case.meta_path), model(factor=10.0))
         assert find_stuck(scene)[1] == []
+
+
+def test_the_crest_of_a_swing_in_coarse_steps_is_no_stuck_register() -> None:
+    """There the reading repeats, and the swing itself is off what goes on all the time; but so are its neighbours."""
+
+    def swing(true: dict[str, np.ndarray], readings: np.ndarray) -> None:
+        readings[:, 0] += 1.3 * STEP_MPS * RATE_HZ * np.sin(2.0 * np.pi * true["t"] / 4.0)
+
+    for seed in range(5):
+        case = coarse(recording(swing, 79 + seed, moving=False), mean_steps=7.3)
+        assert find_stuck(compare(case, model()))[1] == []
