@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from simulators.motion import Turn as SimulatorTurn
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # benchmarks are no installed package
 from benchmarks._blind import hidden, motion, oracle, plans, strange  # noqa: E402
-from benchmarks._blind.cases import category_of, make  # noqa: E402
+from benchmarks._blind.cases import _best_pair, category_of, make  # noqa: E402
 from benchmarks._blind.noise import Spectrum, quantise  # noqa: E402
 from benchmarks._blind.world import World  # noqa: E402
 from benchmarks._scoring import score  # noqa: E402
@@ -61,6 +62,44 @@ def test_its_noise_has_the_spectrum_by_which_sizes_are_reckoned() -> None:
         slack = 0.04  # DCT leakage of the random walk, four processes a decade for the flicker
         band = np.array(chi2.interval(0.999, lines * runs)) / (lines * runs)
         assert band[0] - slack < ratio[low:high].mean() < band[1] + slack
+
+
+def test_its_flicker_goes_on_as_one_over_f() -> None:
+    """To half of the highest frequency: what a coefficient means must not hang on where it rises above white noise."""
+    rng, count, dt, runs = np.random.default_rng(4), 4000, 0.01, 40
+    spectrum = Spectrum(flicker=1.0)
+    frequency = np.arange(1, count) / (2 * count * dt)
+    power = sum(dct(spectrum.sample(rng, count, dt), norm="ortho")[1:] ** 2 for _ in range(runs))
+    ratio = power / runs / (spectrum.density(frequency, dt) / dt)
+    for low, high in ((8, 60), (60, 500), (500, 1000), (1000, 2000)):
+        band = np.array(chi2.interval(0.999, (high - low) * runs)) / ((high - low) * runs)
+        assert band[0] - 0.06 < ratio[low:high].mean() < band[1] + 0.06  # four processes a decade, and leakage
+
+
+def test_a_limit_is_met_by_what_is_read() -> None:
+    """Calibration stands between input and readout: a limit beneath the input alone may never be reached."""
+    rng = np.random.default_rng(5)
+    plan = plans.plan(rng, kind="laser", motion="tour", climate="steady")
+    setup, _, _ = plans.stated_setup(rng, plan, 100.0)
+    world = plans.world_of(rng, plan, setup, 100.0)
+    reading = world.inputs / 1.002
+    for _ in range(12):
+        effect = hidden.with_limit(hidden.draw(rng, "saturation", world), reading)
+        assert np.any(hidden.read_out(effect, world, reading) != reading), effect
+
+
+def test_the_best_pair_is_the_best_of_all_pairs() -> None:
+    rng = np.random.default_rng(6)
+    basis = rng.standard_normal((7, 30))
+    basis[3] = basis[1] + 0.3 * rng.standard_normal(30)
+    basis /= np.linalg.norm(basis, axis=1, keepdims=True)
+    target = rng.standard_normal(30)
+    target /= np.linalg.norm(target)
+    explained = []
+    for pair in combinations(range(7), 2):
+        left = target - basis[list(pair)].T @ np.linalg.lstsq(basis[list(pair)].T, target, rcond=None)[0]
+        explained.append(1.0 - left @ left)
+    assert _best_pair(basis, target) == pytest.approx(max(explained))
 
 
 def test_a_size_is_the_oracles_signal_to_noise() -> None:

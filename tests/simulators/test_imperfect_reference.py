@@ -21,8 +21,8 @@ from simulators.discrepancy.report import discrepancy
 from simulators.scenarios import demo_model, demo_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
-from benchmarks._blind.__main__ import write  # noqa: E402
-from benchmarks._blind.cases import make  # noqa: E402
+from benchmarks._blind.__main__ import write
+from benchmarks._blind.cases import make
 
 RATE_HZ = 50.0
 AXES = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
