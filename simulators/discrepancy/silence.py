@@ -23,7 +23,8 @@ _FEWEST = 5  # silent samples that say anything
 _NEAR, _FAR_SIGMAS = 2.0, 6.0  # widths and σ within which an input has to do with the band
 _ALIKE = 0.05  # σ within which inputs are taken for one
 _WIDTHS, _WIDEST = 31, 3.0  # tried, and by what factor they may be off what the means say
-_NOISES, _NOISIEST = 13, 4.0  # ... the noise off what the record shows, where it is not stated
+_NOISES, _NOISIEST = 13, 4.0  # ... the noise off what is stated, or what a record in coarse steps shows
+_TAILS, _TAIL = (0.0, 0.01, 0.05, 0.2), 3.0  # shares of samples that are so many times as noisy
 _PASSES = 4
 _SURE = 12.0  # nats below the best beyond which nothing counts
 _FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
@@ -45,17 +46,13 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[flo
         return None
     step = max(getattr(scenes[0].model.noise, channel).quantisation / scenes[0].seen.interval_s, _FINEST * sigma)
     widths = np.geomspace(about / _WIDEST, about * _WIDEST, _WIDTHS)
-    known = not scenes[0].model.noise.free
-    noises = np.array([sigma]) if known else np.geomspace(sigma / _NOISIEST, sigma * _NOISIEST, _NOISES)
+    noises = np.geomspace(sigma / _NOISIEST, sigma * _NOISIEST, _NOISES)
     for _ in range(_PASSES):
-        value = np.array(
-            [[_log_likelihood(inputs, readings, counts, step, noise, w) for w in widths] for noise in noises]
-        )
+        value = np.array([[_by_tails(inputs, readings, counts, step, n, w) for w in widths] for n in noises])
         weight, likely = np.exp(value - value.max()), value > value.max() - _SURE
         finest = widths
-        widths = _closer(widths, likely.any(axis=0))
-        noises = noises if known else _closer(noises, likely.any(axis=1))
-    share = weight.sum(axis=0) / weight.sum()
+        noises, widths = (_closer(tried, likely.any(axis=(2, k))) for tried, k in ((noises, 1), (widths, 0)))
+    share = weight.sum(axis=(0, 2)) / weight.sum()
     mean = float(share @ finest)
     spread = float(np.sqrt(share @ (finest - mean) ** 2 + (finest[1] - finest[0]) ** 2 / 12.0))
     return mean, spread
@@ -79,8 +76,14 @@ def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Arr
     return unique[:, 0] * _ALIKE * sigma, unique[:, 1], counts.astype(np.float64)
 
 
-def _log_likelihood(inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float) -> float:
-    """Return the log-likelihood [nats] of readings of inputs [y], rounded to steps [y] behind a dead band."""
+def _by_tails(inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float) -> Array:
+    """Return the log-likelihood [nats] for every share of samples that are noisier than the others."""
+    core, tail = (_likelihood(inputs, readings, step, times * sigma, width) for times in (1.0, _TAIL))
+    return np.array([counts @ np.log(np.maximum((1.0 - share) * core + share * tail, 1e-12)) for share in _TAILS])
+
+
+def _likelihood(inputs: Array, readings: Array, step: float, sigma: float, width: float) -> Array:
+    """Return the probability of readings of inputs [y], rounded to steps [y] behind a dead band."""
     size, towards = np.abs(readings), np.where(readings < 0.0, -inputs, inputs)
     beyond = np.maximum(size - step, width)
     read = _weighted(towards, sigma, beyond, size, size, -step) + _weighted(
@@ -88,8 +91,7 @@ def _log_likelihood(inputs: Array, readings: Array, counts: Array, step: float, 
     )
     read += np.where(size < step, _weighted(-towards, sigma, width, step - size, -size, step), 0.0)
     silent = ndtr((width - inputs) / sigma) - ndtr((-width - inputs) / sigma)
-    likely = np.where(size == 0.0, silent + read, read)
-    return float(counts @ np.log(np.maximum(likely, 1e-12)))
+    return np.where(size == 0.0, silent + read, read)
 
 
 def _weighted(mean: Array, sigma: float, low: Array | float, high: Array, peak: Array, slope: float) -> Array:

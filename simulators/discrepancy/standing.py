@@ -31,6 +31,7 @@ _BESIDE = 50  # samples beside a run that say how it would have been shaken
 _BLOCK = 32
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
+_FEWER, _FEWER_SIGMAS = 0.8, 3.0  # of what is to be expected, and of its scatter, that is too few
 _TOO_MANY = 3.0  # times as many zeros as are to be expected
 _NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
 
@@ -156,7 +157,7 @@ def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Ar
     jolted = said[beside, None] + white * _NORMAL
     count, others = int(beside.sum()), int(np.count_nonzero(reading[beside]))
     expected = float(np.sum(np.mean(np.minimum(np.abs(jolted), 1.0), axis=1)))
-    too_few_others = expected > _COUNTED and others < _MOSTLY * expected
+    too_few_others = expected > _COUNTED and others < _FEWER * expected - _FEWER_SIGMAS * math.sqrt(expected)
     return too_few_others or count - others > max(_COUNTED, _TOO_MANY * (count - expected))
 
 
