@@ -150,6 +150,18 @@ class Evidence:
             self.stated[slot] = after
         return changed
 
+    def jolted(self, slot: Slot, more: float) -> Array | None:
+        """Return the stated power (bins,) with so much more white noise [y/√Hz], and its rounding as that jolts it.
+
+        None where rounding is lost in the noise.
+        """
+        if slot not in self._rounded:
+            return None
+        scene, (noise, _) = self.library.scenes[slot[0]], self._rounded[slot]
+        larger = noise.model_copy(update={"white": math.hypot(noise.white, more)})
+        lsb = last_place(slot[1]) / math.sqrt(scene.group)
+        return np.asarray(self.basis[slot].stated(larger, lsb, scene.motion(slot[1])) + self._torn[slot])
+
     def once(self, fit: Fit, slot: Slot, work: Callable[[], T]) -> T:
         """Return what some work on a slot's part of a fit comes to, done once for the last fit that was asked for."""
         if self._done_for is not fit:

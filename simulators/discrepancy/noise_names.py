@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ _OF_SAMPLES = ("random_walk", "quantisation")  # whose size is that of single sa
 _LEVEL_SIGMAS = 3.0
 _MOST = 2  # terms of a channel
 _OF_TOTAL = 0.02  # of what they gain, which they may leave to noise of another colour
+_JOLTS = (0.7, 1.1, 21)  # shares of white noise that may be right when rounding goes with it: from, to, how many
 _LOWER, _ODD = 0.9, 1.3  # of the power with named terms: noise that is less, and bins that have more
 
 
@@ -86,6 +87,8 @@ def _of_channel(
     scatter = max(evidence.scatter(slot) for slot in slots)
     tails = max(scatter, *(_tails(evidence, fit, slot) for slot in slots))
     found, power = _named(evidence, fit, power, tails, margin)
+    if [one.effect for one in found] == ["random_walk"]:
+        found, power = _jolted(evidence, fit, found[0], power)
     gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
     total = sum(f.gain for f in found)
     lower = all(np.median(fit.noise[slot].power / power[slot]) < _LOWER for slot in slots)
@@ -126,6 +129,22 @@ def _named(
         found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
         power, value = changed, value + gain
     return found, power
+
+
+def _jolted(
+    evidence: Evidence, fit: Fit, white: NoiseFinding, power: dict[Slot, Array]
+) -> tuple[list[NoiseFinding], dict[Slot, Array]]:
+    """Return larger white noise, and the power with it, as the rounding that it jolts shows it, if that is likelier."""
+
+    def with_more(value: float) -> dict[Slot, Array]:
+        jolted = {slot: evidence.jolted(slot, value) for slot in power}
+        return {slot: now if (other := jolted[slot]) is None else other for slot, now in power.items()}
+
+    values = white.value * np.linspace(*_JOLTS)
+    value = max(values.tolist(), key=lambda one: _total(evidence, fit, with_more(one)))
+    if _total(evidence, fit, with_more(value)) > _total(evidence, fit, power):
+        return [replace(white, value=value, sigma=white.sigma * white.value / value)], with_more(value)
+    return [white], power
 
 
 def _band_hz(evidence: Evidence, fit: Fit, slot: Slot, power: Array) -> tuple[float, float]:

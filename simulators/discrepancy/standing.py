@@ -29,6 +29,7 @@ _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its n
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _BESIDE = 50  # samples beside a run that say how it would have been shaken
 _BLOCK = 32
+_EDGE_S = 0.1  # about the ends of a turn
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
 _FEWER, _FEWER_SIGMAS = 0.8, 3.0  # of what is to be expected, and of its scatter, that is too few
@@ -49,7 +50,7 @@ class Stuck:
 def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     """Return the scene with the samples of registers that stood still marked missing, and which they were."""
     data, missing = scene.data, scene.data.missing.copy()
-    interval = np.diff(data.edges_s)
+    interval, changing = np.diff(data.edges_s), scene.near_turn_ends(scene.time_s, _EDGE_S)
     found = []
     for column, channel in enumerate(CHANNELS):
         came = np.flatnonzero(~missing[:, column])
@@ -61,6 +62,8 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         shaken = _vibrated(scene, column)[came] * interval[came]
         for first, last in _standing(increment, off, said, white_by_model, shaken):
             start, end = int(came[first]), int(came[last])
+            if last - first + 1 < _SHORT_RUN and changing[start]:
+                continue  # a turn that came late stands still for as long
             missing[start : end + 1, column] = True
             duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
             # A reading may have been the same by itself just before, or just after.
