@@ -77,18 +77,22 @@ def _of_channel(
     evidence: Evidence, fit: Fit, slots: list[Slot], channel: str, margin: float
 ) -> tuple[list[NoiseFinding], list[OtherNoise]]:
     power: dict[Slot, Array] = {}
+    free: dict[Slot, Array] = {}
     wide = 0.0
     for slot in slots:
         basis, rss, stated = evidence.basis[slot], fit.rss[slot], evidence.stated[slot]
         assert stated is not None
-        free = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot])
-        wide += _whittle(rss, basis.counts, free.power)
-        power[slot] = ease(stated, free.power, evidence.eased[slot])
+        free[slot] = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot]).power
+        wide += _whittle(rss, basis.counts, free[slot])
+        power[slot] = ease(stated, free[slot], evidence.eased[slot])
     scatter = max(evidence.scatter(slot) for slot in slots)
     tails = max(scatter, *(_tails(evidence, fit, slot) for slot in slots))
     found, power = _named(evidence, fit, power, tails, margin)
     if [one.effect for one in found] == ["random_walk"]:
         found, power = _jolted(evidence, fit, found[0], power)
+    power = {
+        slot: ease(p, free[slot], evidence.eased[slot]) for slot, p in power.items()
+    }
     gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
     total = sum(f.gain for f in found)
     lower = all(np.median(fit.noise[slot].power / power[slot]) < _LOWER for slot in slots)
