@@ -150,17 +150,20 @@ class Evidence:
             self.stated[slot] = after
         return changed
 
-    def jolted(self, slot: Slot, more: float) -> Array | None:
-        """Return the stated power (bins,) with so much more white noise [y/√Hz], and its rounding as that jolts it.
+    def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
+        """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""
+        scene = self.library.scenes[slot[0]]
+        stated = getattr(scene.model.noise, CHANNELS[slot[1]]).quantisation
+        torn = self._torn[slot] * (noise.quantisation / stated) ** 2 if stated else 0.0
+        lsb = last_place(slot[1]) / math.sqrt(scene.group)
+        return np.asarray(self.basis[slot].stated(noise, lsb, scene.motion(slot[1])) + torn)
 
-        None where rounding is lost in the noise.
-        """
+    def jolted(self, slot: Slot, more: float) -> Array | None:
+        """Return the stated power (bins,) with so much more white noise [y/√Hz]; none where rounding is lost in it."""
         if slot not in self._rounded:
             return None
-        scene, (noise, _) = self.library.scenes[slot[0]], self._rounded[slot]
-        larger = noise.model_copy(update={"white": math.hypot(noise.white, more)})
-        lsb = last_place(slot[1]) / math.sqrt(scene.group)
-        return np.asarray(self.basis[slot].stated(larger, lsb, scene.motion(slot[1])) + self._torn[slot])
+        noise, _ = self._rounded[slot]
+        return self.read_with(slot, noise.model_copy(update={"white": math.hypot(noise.white, more)}))
 
     def once(self, fit: Fit, slot: Slot, work: Callable[[], T]) -> T:
         """Return what some work on a slot's part of a fit comes to, done once for the last fit that was asked for."""

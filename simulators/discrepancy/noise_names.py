@@ -90,9 +90,7 @@ def _of_channel(
     found, power = _named(evidence, fit, power, tails, margin)
     if [one.effect for one in found] == ["random_walk"]:
         found, power = _jolted(evidence, fit, found[0], power)
-    power = {
-        slot: ease(p, free[slot], evidence.eased[slot]) for slot, p in power.items()
-    }
+    power = {slot: ease(p, free[slot], evidence.eased[slot]) for slot, p in power.items()}
     gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
     total = sum(f.gain for f in found)
     lower = all(np.median(fit.noise[slot].power / power[slot]) < _LOWER for slot in slots)
@@ -167,6 +165,9 @@ def _coarse(
     beyond = stated * math.sqrt(times**2 - 1.0)
     unit = TERMS["quantisation"][1]
     changed = {slot: now + beyond**2 * evidence.basis[slot].stated(unit, 0.0) for slot, now in power.items()}
+    larger = getattr(scene.model.noise, CHANNELS[column]).model_copy(update={"quantisation": times * stated})
+    read = {slot: evidence.read_with(slot, larger) for slot in power}
+    changed = max(changed, read, key=lambda one: _total(evidence, fit, one))
     sigma = last_place(column) * times * stated / beyond
     gain = _total(evidence, fit, changed) - _total(evidence, fit, power)
     return NoiseFinding("quantisation", CHANNELS[column], beyond, sigma, gain, max(gain, SEEN), ()), changed
