@@ -252,6 +252,8 @@ def test_every_command_asks_first_and_then_is_done(browser: Browser, tmp_path: P
         assert page.locator("dialog[open]").count() == 1  # without a reason nothing is done
         answer(page, reason="drill")
         expect(page.locator(".verdict")).to_contain_text("ABORTED")
+        # Written by another thread than the state is.
+        wait_for(lambda: len(service.get("/audit")["entries"]) >= 2, lambda: service.get("/audit"), 20.0)
         assert [one["outcome"] for one in service.get("/audit")["entries"][:2]] == ["accepted", "accepted"]
 
         page.locator("[data-command=start]:enabled").click()

@@ -19,7 +19,7 @@ from simulators.discrepancy.report import discrepancy
     step=st.floats(1e-7, 1e-3),
     origin=st.floats(-1.0, 1.0),
     spread=st.floats(0.6, 300.0),
-    fine=st.floats(0.0, 0.02),
+    fine=st.floats(0.0, 0.01),
     seed=st.integers(0, 2**32 - 1),
 )
 def test_a_lattice_is_found_wherever_it_lies_and_whatever_the_frame_rounds(
