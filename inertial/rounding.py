@@ -55,7 +55,10 @@ def increment_step(increments: Array, last_place: float | None = None) -> tuple[
     error = _TO_FRAME * step if last_place is None else last_place
     if not _COARSE * error <= step < np.inf:
         return None
-    beyond = values - values[int(np.argmin(gaps))]
+    least = np.flatnonzero(gaps <= step + error)
+    # One step apart and amid the others: from the thin ends of their range no small number of steps leads on.
+    amid = least[np.argmin(np.abs(values[least] - np.median(increments)))]
+    beyond = values - values[amid]
     index = _counted(beyond, step, error)
     step, origin = (float(c) for c in np.polyfit(index, values, 1))
     residual = values - origin - step * index

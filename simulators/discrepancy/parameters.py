@@ -98,8 +98,10 @@ def _by_likelihood(
     found = []
     for place in np.linspace(-_REACH, _REACH, _LOOKS):
         at = middle * float(np.exp(place * width))
+        if place > 0.0 and at > evidence.library.longest_s:
+            break
         trial = evidence.library.trial(hypothesis.effect, hypothesis.channel, {shape[0]: at}, hypothesis.places)
-        if trial is None or at > evidence.library.longest_s:
+        if trial is None:
             continue
         one = evidence.fit([i for h in (*others, trial) for i in h.columns], fit, fixed)
         column = one.ids.index(trial.columns[0])
