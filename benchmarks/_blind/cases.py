@@ -12,7 +12,7 @@ from scipy.fft import dct
 from benchmarks._blind import hidden, oracle, plans, strange
 from benchmarks._blind.dictionary import columns, lines
 from benchmarks._blind.hidden import Effect
-from benchmarks._blind.motion import Setup, add_sway, increments
+from benchmarks._blind.motion import Setup, add_sway
 from benchmarks._blind.noise import Spectrum, quantise, sway
 from benchmarks._blind.plans import Plan
 from benchmarks._blind.world import CHANNELS, index
@@ -454,26 +454,25 @@ class _Draft:
         A mount at rest comes back, but a block that has been turned meanwhile feels it come back about another axis.
         """
         world, rng = self.world, self.rng.spawn(1)[0]
-        C = increments(world.setup, world.edges)[2]
         power = np.zeros((6, world.count))
         for _ in range(_SWAYS):
-            power += dct(self._sway(rng, C), axis=0, norm="ortho").T ** 2 / _SWAYS
+            power += dct(self._sway(rng), axis=0, norm="ortho").T ** 2 / _SWAYS
         bounds = np.unique(np.concatenate([np.arange(40), np.geomspace(40, world.count, 60).astype(int)]))
         level = np.add.reduceat(power, bounds[:-1], axis=1) / np.diff(bounds) * world.dt
         middle = 0.5 * (bounds[:-1] + bounds[1:] - 1) / (2 * world.count * world.dt)
         return np.array([np.interp(frequency, middle, one) for one in level])
 
-    def _sway(self, rng: np.random.Generator, C: np.ndarray) -> np.ndarray:
+    def _sway(self, rng: np.random.Generator) -> np.ndarray:
         """What one draw of the mount's small angles adds to the inputs (n, 6)."""
         world, (sigma, constant) = self.world, self.sway
         psi = np.column_stack([sway(rng, world.count + 1, world.dt, sigma, constant) for _ in range(3)])
         dv, dtheta = np.zeros((world.count, 3)), np.zeros((world.count, 3))
-        add_sway(dv, dtheta, C, psi, world.setup.gravity, world.dt)
+        add_sway(dv, dtheta, world.attitude, psi, world.setup.gravity, world.dt)
         return np.hstack([dv, dtheta]) / world.dt
 
     def _swayed(self, inputs: np.ndarray) -> np.ndarray:
         """Inputs with the mount's small angles, of which the stated level is the mean."""
-        return inputs + self._sway(self.rng, increments(self.world.setup, self.world.edges)[2])
+        return inputs + self._sway(self.rng)
 
     def _kept(self, effects: list[Effect]) -> np.ndarray:
         """Which frames arrive."""

@@ -5,6 +5,7 @@ Beyond the nuisance parameters, whose priors are part of the covariance: dÂ² = Î
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,9 @@ _BIN_S = 0.5
 class Metric:
     """Whitens readings (n, 6) into one flat vector, and removes what nuisance parameters could explain."""
 
-    def __init__(self, world: World, spectra: list[Spectrum], extra: np.ndarray | None = None) -> None:
+    def __init__(
+        self, world: World, spectra: list[Spectrum], extra: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> None:
         self.world, self.spectra = world, spectra
         self.per_bin = round(_BIN_S / world.dt) if world.setup.shakes else 1
         count = world.count // self.per_bin

@@ -47,7 +47,7 @@ def take_back(settings: StoreSettings, revision: str) -> str | None:
     with closing(place.hold(settings.launcher)):
         before, known = current_revision(settings), revisions.known()
         if before not in known or revision not in known[: known.index(before)]:
-            older = (before in known and ", ".join(known[: known.index(before)])) or "none"
+            older = ", ".join(known[: known.index(before)] if before in known else []) or "none"
             raise StoreError(f"{place.name}: revision {before} cannot go back to {revision}. Older ones: {older}.")
         engine = place.engine()
         try:

@@ -347,17 +347,13 @@ class Searcher:
             return hypothesis
         if hypothesis.chord:
             return self._chord(hypothesis, current, look)
-        names = [name for name in hypothesis.shape if name in _WIDTH]
+        names = [name for name in hypothesis.shape if name in _ZOOMS]
         if len(names) != 1 or len(hypothesis.shape) != 1:
             return hypothesis
         name = names[0]
         middle = hypothesis.shape[name]
         relative = name in ("time_constant", "half_width", "limit")
-        width = _WIDTH[name]
-        if name == "time":
-            width = _NEARBY * self.library.scenes[0].interval_s
-        elif name == "frequency":  # that of a spectrum is good for a line of some ten σ
-            width = _NEAR_LINE / self.library.longest_s
+        width = self._width(name)
         best, value = hypothesis, self._gain(hypothesis, look)
         places = hypothesis.places
         if name in USUAL and is_usual(hypothesis.shape):
@@ -379,6 +375,14 @@ class Searcher:
             middle = best.shape[name]
             width *= 0.55
         return best
+
+    def _width(self, name: str) -> float:
+        """Return how far off a shape may be at first: a time constant's or a limit's logarithm, any other itself."""
+        if name == "time":
+            return _NEARBY * self.library.scenes[0].interval_s
+        if name == "frequency":  # that of a spectrum is good for a line of some ten σ
+            return _NEAR_LINE / self.library.longest_s
+        return _WIDTH[name]
 
     def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
         """Take the columns as chords to the amplitudes they are found to have."""
@@ -500,7 +504,6 @@ def _silent(share: float, text: str) -> None:
 
 
 _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0}
-_WIDTH |= {"time": 0.0, "frequency": 0.0}
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}

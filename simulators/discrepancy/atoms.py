@@ -30,8 +30,7 @@ def score_of(left: Array, power: Array, basis: Basis, spread: Array) -> Array:
 
     ``left`` (n,): cosine coefficients of what is left; ``power`` (b,): the noise; ``spread`` (n,): of each sample.
     """
-    weight = np.repeat(1.0 / power, basis.counts.astype(np.int64))
-    return np.asarray(idct(weight * left, norm="ortho")) / spread
+    return np.asarray(idct(basis.each(1.0 / power) * left, norm="ortho")) / spread
 
 
 class Steps:

@@ -157,12 +157,16 @@ class Library:
 
     def left(self, slot: Slot, ids: Sequence[int], amplitude: Array) -> Array:
         """Return the cosine coefficients (n,) of the residual that columns of some amplitudes leave in a slot."""
-        left = self.residual[slot].copy()
+        return self.residual[slot] - self.added(slot, ids, amplitude)
+
+    def added(self, slot: Slot, ids: Sequence[int], amplitude: Array) -> Array:
+        """Return the cosine coefficients (n,) of what columns of some amplitudes add up to in a slot."""
+        total = np.zeros(len(self.residual[slot]))
         for i, size in zip(ids, amplitude, strict=True):
             part = self.columns[i].parts.get(slot)
             if part is not None:
-                left -= size * part
-        return left
+                total += size * part
+        return total
 
     def add_column(self, raw: Iterable[tuple[Slot, Array]]) -> int | None:
         """Keep a column given as rates (n,) by slot; none where it has nothing in it."""

@@ -567,8 +567,7 @@ class Look:
             if slot in columns[i].parts:
                 mine[:, place] = columns[i].parts[slot]
         if slot not in self._each:
-            counts = self.evidence.basis[slot].counts.astype(np.int64)
-            self._each[slot] = np.repeat(self._weight[slot], counts)
+            self._each[slot] = self.evidence.basis[slot].each(self._weight[slot])
         weighted = mine * self._each[slot][:, None]
         own += mine.T @ weighted
         score += weighted.T @ self.evidence.library.residual[slot]

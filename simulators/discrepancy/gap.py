@@ -34,11 +34,7 @@ def adopted_rates(search: Search, scene: int) -> Array:
     n = search.evidence.basis[scene, 0].n
     added = np.zeros((n, 6))
     for c in range(6):
-        total = np.zeros(n)
-        for i, amplitude in zip(search.fit.ids, search.fit.amplitude, strict=True):
-            part = library.columns[i].parts.get((scene, c))
-            if part is not None:
-                total += amplitude * part
+        total = library.added((scene, c), search.fit.ids, search.fit.amplitude)
         added[:, c] = idct(total, norm="ortho") * library.spread[scene, c]
     return added
 
@@ -75,9 +71,7 @@ def where(search: Search) -> list[dict[str, Any]]:
     library = search.evidence.library
     for s, c in search.evidence.slots:
         scene = library.scenes[s]
-        weight = np.repeat(
-            1.0 / np.sqrt(search.fit.noise[s, c].power), search.evidence.basis[s, c].counts.astype(np.int64)
-        )
+        weight = search.evidence.basis[s, c].each(search.fit.noise[s, c].power ** -0.5)
         rows = {}
         for name, fit in (("before", search.bare), ("after", search.fit)):
             left = library.left((s, c), fit.ids, fit.amplitude)

@@ -176,8 +176,7 @@ def _coarse(
 def _tails(evidence: Evidence, fit: Fit, slot: Slot) -> float:
     """Return by how much heavy tails raise the variance of a variance found from samples: 1 + excess kurtosis / 2."""
     left = evidence.library.left(slot, fit.ids, fit.amplitude)
-    counts = evidence.basis[slot].counts.astype(np.int64)
-    white = idct(left / np.sqrt(np.repeat(fit.noise[slot].power, counts)), norm="ortho")
+    white = idct(left * evidence.basis[slot].each(fit.noise[slot].power ** -0.5), norm="ortho")
     kurtosis = float(np.mean(white**4) / np.mean(white**2) ** 2)
     return max(1.0, 0.5 * (kurtosis - 1.0))
 

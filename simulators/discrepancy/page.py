@@ -140,7 +140,7 @@ def _figures(report: Report, channel: int) -> list[str]:
     )
     curves = [overlapping_allan(v, scene.interval_s) for v in (measured - predicted, measured - predicted - added)]
     whitened = search.fit.noise[0, channel].power
-    noise = np.asarray(idct(np.repeat(np.sqrt(whitened), basis.counts.astype(np.int64)) * _draw(n), norm="ortho"))
+    noise = np.asarray(idct(basis.each(np.sqrt(whitened)) * _draw(n), norm="ortho"))
     own = overlapping_allan(noise, scene.interval_s)
     deviations = [c.deviation for c in curves] + [own.deviation]
     figures.append(

@@ -8,8 +8,8 @@ import numpy as np
 
 from inertial.documents import ParameterValue
 from simulators.discrepancy.candidates import Column, Hypothesis
+from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.evidence import Evidence, Fit
-from simulators.discrepancy.silence import half_width
 from simulators.effects import get_effect
 from simulators.effects.base import unit_of
 

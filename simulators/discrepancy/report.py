@@ -21,13 +21,14 @@ from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, followi
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
+from simulators.discrepancy.influence import gains_but_one
 from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
-from simulators.discrepancy.single_sample import gains_but_one
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
+from simulators.discrepancy.whitening import LEVELS
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
 from simulators.discrepancy.words import in_words
 from simulators.effects import get_effect
@@ -390,7 +391,7 @@ def _noise_document(search: Search) -> dict[str, Any]:
     for slot in search.evidence.slots:
         power, basis = search.fit.noise[slot].power, search.evidence.basis[slot]
         white = math.sqrt(float(np.median(power[len(power) // 2 :])) * basis.interval_s)
-        level = ("stated", "white", "sway", "flicker", "walk", "coloured")[search.fit.noise[slot].level]
+        level = LEVELS[search.fit.noise[slot].level]
         document[f"{slot[0]}:{CHANNELS[slot[1]]}"] = {"white": white, "level": level}
     return document
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from simulators.discrepancy.atoms import best_comb, best_line, best_sweep, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
-from simulators.discrepancy.whitening import STATED, NoiseFit
+from simulators.discrepancy.whitening import STATED, Basis, NoiseFit
 
 Array = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ def _one_by_one(trial: _Trial) -> Sparse:
             lines.append(hertz)
             added = trial.line(hertz)
         columns = np.column_stack([columns, added])
-        left, _ = _without(trial.whole, columns, quiet, trial.basis.counts)
+        left, _ = _without(trial.whole, columns, quiet, trial.basis)
         quiet = trial.quiet(left)
         certain = [math.inf] * len(steps)
         best = max(best, trial.found(left, quiet, steps, certain, lines), key=lambda one: one.nats)
@@ -145,7 +145,7 @@ def _sweeping(trial: _Trial) -> Sparse:
     """Take what is left for one line that sweeps."""
     left, quiet = trial.whole, trial.quiet(trial.whole)
     first_hz, last_hz, tried = best_sweep(score_of(left, quiet.power, trial.basis, trial.spread), trial.basis)
-    left, _ = _without(trial.whole, trial.sweep(first_hz, last_hz), quiet, trial.basis.counts)
+    left, _ = _without(trial.whole, trial.sweep(first_hz, last_hz), quiet, trial.basis)
     nats = trial.gained(left, trial.quiet(left), trial.line_cost + math.log(tried))
     return Sparse(trial.slot, (), (), nats, sweep_hz=(first_hz, last_hz))
 
@@ -156,7 +156,7 @@ def _repeating(trial: _Trial) -> Sparse:
     hertz, count, tried = best_comb(score_of(left, quiet.power, trial.basis, trial.spread), quiet.power, trial.basis)
     lines = [harmonic * hertz for harmonic in range(1, count + 1)]
     columns = np.column_stack([trial.line(line) for line in lines])
-    left, _ = _without(trial.whole, columns, quiet, trial.basis.counts)
+    left, _ = _without(trial.whole, columns, quiet, trial.basis)
     nats = trial.gained(left, trial.quiet(left), math.log(tried) + count * _LINE_COST)
     return Sparse(trial.slot, (), tuple(lines), nats, repeats_hz=hertz)
 
@@ -170,16 +170,16 @@ def _levels(trial: _Trial) -> Sparse:
     for _ in range(_ROUNDS):
         steps = levels(trial.whole, quiet.power, trial.basis, trial.spread, cost)[:_MOST]
         columns = np.column_stack([trial.step(first) for first in (*steps, 0)])
-        left, sizes = _without(trial.whole, columns, quiet, trial.basis.counts)
+        left, sizes = _without(trial.whole, columns, quiet, trial.basis)
         jumps = sizes[: len(steps)].tolist()
         quiet = trial.quiet(left)
         cost = max((trial.step_cost(len(steps), jump, quiet) for jump in jumps), default=cost)
     return trial.found(left, quiet, steps, jumps, [])
 
 
-def _without(whole: Array, columns: Array, noise: NoiseFit, counts: Array) -> tuple[Array, Array]:
+def _without(whole: Array, columns: Array, noise: NoiseFit, basis: Basis) -> tuple[Array, Array]:
     """Return what columns leave, by least squares weighted by the noise, and their amplitudes."""
-    weight = np.repeat(1.0 / noise.power, counts.astype(np.int64))
+    weight = basis.each(1.0 / noise.power)
     gram = columns.T @ (columns * weight[:, None])
     scale = np.sqrt(np.diag(gram))
     right = columns.T @ (weight * whole) / scale

@@ -135,24 +135,18 @@ def _mends(search: Search, small: Adopted, large: Adopted, channel: str) -> bool
     evidence, fit = search.evidence, search.fit
     for slot in (slot for slot in evidence.slots if CHANNELS[slot[1]] == channel):
         basis = evidence.basis[slot]
-        weight = np.repeat(1.0 / np.sqrt(fit.noise[slot].power), basis.counts.astype(np.int64))
-        one, other = (weight * _contribution(search, a, slot) for a in (small, large))
+        weight = basis.each(fit.noise[slot].power ** -0.5)
+        sizes = dict(zip(fit.ids, fit.amplitude, strict=True))
+        one, other = (
+            weight * evidence.library.added(slot, ids, np.array([sizes[i] for i in ids]))
+            for ids in (small.hypothesis.columns, large.hypothesis.columns)
+        )
         blocks = np.arange(0, basis.n, max(1, round(_FORM_S / basis.interval_s)))
         for values, starts in (((one, other), basis.bounds[:-1]), ((idct(one), idct(other)), blocks)):
             power, form = (np.add.reduceat(v**2, starts) for v in values)
             if np.sum(power[power > _FORM_ERROR**2 * form]) > 0.5 * np.sum(power):
                 return False
     return True
-
-
-def _contribution(search: Search, adopted: Adopted, slot: Slot) -> Array:
-    """Return the cosine coefficients (n,) of what an adopted name explains in a slot."""
-    total = np.zeros(search.evidence.basis[slot].n)
-    for i in adopted.hypothesis.columns:
-        part = search.evidence.library.columns[i].parts.get(slot)
-        if part is not None:
-            total += float(search.fit.amplitude[search.fit.ids.index(i)]) * part
-    return total
 
 
 def _mostly_on(gains: Mapping[str, float], channel: str) -> bool:
@@ -225,7 +219,7 @@ def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
     """Return the evidence [nats] that power varies from block to block, in some band from zero up, and where most."""
     basis, scene = search.evidence.basis[slot], search.evidence.library.scenes[slot[0]]
     left = search.evidence.library.left(slot, search.fit.ids, search.fit.amplitude)
-    white = left * np.repeat(1.0 / np.sqrt(search.fit.noise[slot].power), basis.counts.astype(np.int64))
+    white = left * basis.each(search.fit.noise[slot].power ** -0.5)
     white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
     came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
     highest_hz = _HIGHEST_HZ

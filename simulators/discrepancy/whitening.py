@@ -34,7 +34,8 @@ _WEIGHED = 200  # rounds
 ROUNDED_AT = (0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
-STATED, WHITE, SWAY, FLICKER, WALK, WIDE = range(6)
+LEVELS = ("stated", "white", "sway", "flicker", "walk", "coloured")
+STATED, WHITE, SWAY, FLICKER, WALK, WIDE = range(len(LEVELS))
 """Levels of the noise family: as the model states, or in its proportions; white and quantisation free; a mount that
 sways as well (beside the model's proportions, where it gives them); or flicker as well; or a random walk; all free."""
 
@@ -62,6 +63,10 @@ class Basis:
         middle = 0.5 * (self.bounds[:-1] + self.bounds[1:] - 1)
         return np.asarray(middle / (2.0 * self.n * self.interval_s))
 
+    def each(self, values: Array) -> Array:
+        """Return what bins (b,) have for each of their coefficients (n,)."""
+        return np.repeat(values, self.counts.astype(np.int64))
+
     def terms(self, level: int) -> list[int]:
         """Return the terms that a level of the family leaves free."""
         sway = [place for place, name in enumerate(self.names) if name.startswith("sway")]
@@ -72,13 +77,11 @@ class Basis:
     def families(self) -> dict[tuple[int, bool], tuple[Array, Array]]:
         """Return of each level, with the model's proportions and without, the columns (b, k) and their medians (k,)."""
         found = {}
-        for level in range(WIDE + 1):
+        for level in range(len(LEVELS)):
             free = np.ascontiguousarray(self.power[:, self.terms(level)])
             found[level, False] = free, np.median(free, axis=0)
             if self.shape is not None:
-                shaped = free
-                if level in (STATED, SWAY):
-                    shaped = np.column_stack([self.shape, free[:, 1:]])
+                shaped = np.column_stack([self.shape, free[:, 1:]]) if level in (STATED, SWAY) else free
                 found[level, True] = shaped, np.median(shaped, axis=0)
         return found
 

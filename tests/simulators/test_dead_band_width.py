@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from inertial.documents import ChannelNoise, Noise
 from simulators.discrepancy.compare import Scene, compare
-from simulators.discrepancy.silence import half_width
+from simulators.discrepancy.dead_band_width import half_width
 
 SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
 RUNS = 12

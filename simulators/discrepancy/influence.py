@@ -1,15 +1,17 @@
-"""Evidence that a single sample gives (its influence): a glitch in the right place looks like an effect there.
+"""The influence of single samples: a glitch in the right place looks like an effect that acts there.
 
 Heavy-tailed noise has such samples in every record. What is really there shows in others too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
 
-from simulators.discrepancy.candidates import Hypothesis
+from simulators.discrepancy.candidates import Hypothesis, Slot
 from simulators.discrepancy.evidence import Evidence, Fit
 
 Array = NDArray[np.float64]
@@ -21,9 +23,9 @@ def gains_but_one(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> tuple
     """Return what a hypothesis of a fit gains [nats] in its noise, from all samples and from all but the strongest.
 
     In the whitened record, with what all else in the fit can explain of the columns taken out of them (Frisch and
-    Waugh 1933), each sample's part in the gain can be seen.
+    Waugh 1933), each sample's part in the gain can be seen and left out (Cook 1977).
     """
-    ids, slots = fit.ids, sorted(evidence.touched(hypothesis.columns))
+    ids, slots, library = fit.ids, sorted(evidence.touched(hypothesis.columns)), evidence.library
     gram = sum(np.tensordot(1.0 / fit.noise[s].power, evidence.products(s, ids)[0], 1) for s in evidence.slots)
     own = np.array([i in hypothesis.columns for i in ids], dtype=np.bool_)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -34,25 +36,13 @@ def gains_but_one(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> tuple
     known = np.linalg.solve(unit[np.ix_(~own, ~own)] + np.diag(prior**-2.0 + _RIDGE), across)
     whole = float(sizes[own] @ unit[np.ix_(own, own)] @ sizes[own] - across @ known)
     sizes[~own] = -known
-    column = _whitened(evidence, fit, slots, sizes / scale)
-    left = np.concatenate([_white(evidence, fit, s, evidence.library.left(s, ids, fit.amplitude)) for s in slots])
+    column = _white(evidence, fit, slots, [library.added(s, ids, sizes / scale) for s in slots])
+    left = _white(evidence, fit, slots, [library.left(s, ids, fit.amplitude) for s in slots])
     score = whole - column * (left + column)
     return 0.5 * whole, float(np.min(score**2 / np.maximum(2.0 * (whole - column**2), 1e-300)))
 
 
-def _whitened(evidence: Evidence, fit: Fit, slots: list[tuple[int, int]], sizes: Array) -> Array:
-    """Return what the columns of a fit, of some sizes, add to the whitened record of some slots, one after another."""
-    rows = []
-    for slot in slots:
-        total = np.zeros(evidence.basis[slot].n)
-        for i, size in zip(fit.ids, sizes, strict=True):
-            part = evidence.library.columns[i].parts.get(slot)
-            if part is not None:
-                total += size * part
-        rows.append(_white(evidence, fit, slot, total))
-    return np.concatenate(rows)
-
-
-def _white(evidence: Evidence, fit: Fit, slot: tuple[int, int], coefficients: Array) -> Array:
-    weight = np.repeat(fit.noise[slot].power ** -0.5, evidence.basis[slot].counts.astype(np.int64))
-    return np.asarray(idct(weight * coefficients, norm="ortho"))
+def _white(evidence: Evidence, fit: Fit, slots: Sequence[Slot], coefficients: Sequence[Array]) -> Array:
+    """Return the whitened samples of some slots, one slot after another, of which these are the coefficients (n,)."""
+    roots = [evidence.basis[s].each(fit.noise[s].power ** -0.5) for s in slots]
+    return np.concatenate([idct(root * one, norm="ortho") for root, one in zip(roots, coefficients, strict=True)])

@@ -2,7 +2,8 @@
 
 The search compares means, for which the noise must be known: where it is larger, a wider band does the same to them.
 Each sample says more. Whether it is silent, and what it reads where it is not, depends on input, noise, width and the
-rounding that follows; of these, noise and width are found together.
+rounding that follows; of these, noise and width are found together. Rounding an integral is that of Widrow and Kollár,
+*Quantization Noise* (2008), noise with tails Tukey's contaminated normal (1960).
 """
 
 from __future__ import annotations
@@ -33,10 +34,18 @@ _FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
 def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[float, float] | None:
     """Return a dead band's half-width and its 1σ [y], by the likelihood of every sample near it.
 
-    ``about`` [y] is where to begin. None where hardly a sample is silent.
-
     Rounding of an integral to steps reads an input of u steps as one of the two whole numbers beside it, the nearer
     the likelier; the fraction at which a sample begins is taken to be any.
+
+    Parameters
+    ----------
+    scenes : of one block.
+    channel : whose readout has the band.
+    about : half-width to begin with [y].
+
+    Returns
+    -------
+    The mean over the likelihood and its rms about it; none where hardly a sample is silent.
     """
     column = CHANNELS.index(channel)
     sigma = max(float(scene.noise_sigma[column]) for scene in scenes)
@@ -86,9 +95,8 @@ def _likelihood(inputs: Array, readings: Array, step: float, sigma: float, width
     """Return the probability of readings of inputs [y], rounded to steps [y] behind a dead band."""
     size, towards = np.abs(readings), np.where(readings < 0.0, -inputs, inputs)
     beyond = np.maximum(size - step, width)
-    read = _weighted(towards, sigma, beyond, size, size, -step) + _weighted(
-        towards, sigma, np.maximum(size, beyond), size + step, size, step
-    )
+    read = _weighted(towards, sigma, beyond, size, size, -step)
+    read += _weighted(towards, sigma, np.maximum(size, width), size + step, size, step)
     read += np.where(size < step, _weighted(-towards, sigma, width, step - size, -size, step), 0.0)
     silent = ndtr((width - inputs) / sigma) - ndtr((-width - inputs) / sigma)
     return np.where(size == 0.0, silent + read, read)
