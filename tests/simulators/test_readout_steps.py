@@ -216,14 +216,16 @@ def test_lines_of_rounding_lie_where_the_table_really_turned(monkeypatch: pytest
         assert report.verdict == "none", (seed, report.document["text"])
 
 
-def test_rounding_is_no_noise_of_turns_where_a_free_model_overstates_the_noise() -> None:
-    """Stated at half a step, noise hides rounding; at the quarter that it may be, a still gyro rounds otherwise."""
+def test_rounding_is_no_noise_of_turns_where_a_free_model_overstates_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stated at half a step, noise hides rounding; at the quarter that it is, a gyro at rest hardly ever rounds up."""
+    white = 20.0 * WHITE["gyro"]
+    monkeypatch.setitem(closed_form.WHITE, "gyro", white)
     case = recording(None, 37)
     samples = case.samples.copy()
-    step = 4.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
+    step = 4.0 * white / np.sqrt(RATE_HZ)
     samples["dtheta"] = in_steps(samples["dtheta"], step)
-    noise = model_in_steps(step, free=True).noise
-    doubled = {f"gyro_{axis}": ChannelNoise(white=2.0 * WHITE["gyro"], quantisation=step) for axis in "xyz"}
-    scene = compare(replace(case, samples=samples), BlockModel(noise=noise.model_copy(update=doubled)))
+    doubled = {f"gyro_{axis}": ChannelNoise(white=2.0 * white, quantisation=step) for axis in "xyz"}
+    noise = model_in_steps(step, free=True).noise.model_copy(update=doubled)
+    scene = compare(replace(case, samples=samples), BlockModel(noise=noise))
     for column in (3, 4, 5):
         assert np.all(level_spread(scene, column)[1] == 1.0)

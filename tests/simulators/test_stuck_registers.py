@@ -115,10 +115,13 @@ def test_zeros_of_a_dead_band_are_no_stuck_register_however_long() -> None:
 
 def test_the_crest_of_a_swing_in_coarse_steps_is_no_stuck_register() -> None:
     """There the reading repeats, and the swing itself is off what goes on all the time; but so are its neighbours."""
+    for seed in range(8):
+        begins_s = np.random.default_rng(seed).uniform(5.0, 220.0, 6)
 
-    def swing(true: dict[str, np.ndarray], readings: np.ndarray) -> None:
-        readings[:, 0] += 1.3 * STEP_MPS * RATE_HZ * np.sin(2.0 * np.pi * true["t"] / 4.0)
+        def swing(true: dict[str, np.ndarray], readings: np.ndarray, begins_s: np.ndarray = begins_s) -> None:
+            lag_s = np.clip(true["t"][:, None] - begins_s, 0.0, None)
+            bursts = np.exp(-lag_s / 10.0) * np.sin(2.0 * np.pi * lag_s / 2.5)
+            readings[:, 0] += 1.7 * STEP_MPS * RATE_HZ * bursts.sum(axis=1)
 
-    for seed in range(5):
         case = coarse(recording(swing, 79 + seed, moving=False), mean_steps=7.3)
         assert find_stuck(compare(case, model()))[1] == []
