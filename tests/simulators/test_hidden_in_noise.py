@@ -36,17 +36,19 @@ def test_mean_change_is_the_mean_of_what_becomes_of_noisy_readings(name: str, pa
         assert abs(change.mean() - said) <= 5.0 * change.std() / np.sqrt(DRAWS) + 1e-12
 
 
-def test_a_dead_band_of_the_noises_own_width_is_named() -> None:
-    """Earth's rate along a gyro is up to 5 σ of a sample; the band of 3 σ takes input and noise together."""
+@pytest.mark.parametrize("sigmas", [2.0, 3.0, 4.0])
+def test_a_dead_band_of_the_noises_own_width_is_named_and_nothing_of_the_noise_that_it_makes(sigmas: float) -> None:
+    """Earth's rate along a gyro is up to 5 σ of a sample; the band takes input and noise together."""
     case = recording(None, 41)
     samples = case.samples.copy()
-    half_width = 3.0 * GYRO_SIGMA
+    half_width = sigmas * GYRO_SIGMA
     silent = np.abs(samples["dtheta"][:, 2]) < half_width / RATE_HZ
     samples["dtheta"][silent, 2] = 0.0
     report = discrepancy([replace(case, samples=samples)], model())
     found = {(one["effect"], one["channel"]): one["parameters"] for one in report.findings}
-    assert ("dead_band", "gyro_z") in found, report.document["text"]
-    assert abs(found["dead_band", "gyro_z"]["half_width"]["value"] / half_width - 1.0) < 0.1
+    assert set(found) == {("dead_band", "gyro_z")}, report.document["text"]
+    width = found["dead_band", "gyro_z"]["half_width"]
+    assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
 
 
 def test_a_telegraph_is_not_sold_as_a_random_walk() -> None:

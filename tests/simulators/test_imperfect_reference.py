@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import closed_form
 import numpy as np
 import pytest
 
@@ -87,3 +88,20 @@ def test_a_false_clock_is_told_from_errors_of_timing_in_the_last_digits(tmp_path
     exact = np.linalg.lstsq(np.vstack(rows) / scale, np.concatenate(right), rcond=None)[0] / scale
     place = fit.ids.index(clock.columns[0])
     assert abs(fit.amplitude[place] - exact[place]) < 0.1 * math.sqrt(fit.covariance[place, place])
+
+
+def test_a_level_at_rest_beyond_its_own_sigma_is_named_though_no_block_held_out_can_contradict_it() -> None:
+    """The reference's own columns take it on, in every block alike, at the price of their prior."""
+
+    def lean(_: dict[str, np.ndarray], readings: np.ndarray) -> None:
+        readings[:, :2] += closed_form.GRAVITY_MPS2 * np.array([8e-4, -5e-4])
+
+    case = closed_form.recording(lean, 81, moving=False)
+    meta = case.meta.model_dump(exclude_none=True)
+    meta["reference"]["level_sigma_deg"] = 0.005
+    stated = Recording(case.samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+    (found,) = discrepancy([stated], closed_form.model()).findings
+    assert found["effect"] == "level_error"
+    tilts = [found["parameters"][name] for name in ("tilt_1", "tilt_2")]
+    for tilt, true in zip(tilts, (-5e-4, -8e-4), strict=True):
+        assert abs(tilt["value"] - true) < 3.3 * tilt["sigma"]

@@ -229,3 +229,37 @@ def test_rounding_is_no_noise_of_turns_where_a_free_model_overstates_the_noise(m
     scene = compare(replace(case, samples=samples), BlockModel(noise=noise))
     for column in (3, 4, 5):
         assert np.all(level_spread(scene, column)[1] == 1.0)
+
+
+def test_a_coarser_step_has_errors_of_a_colour_of_its_own() -> None:
+    """At rest they are lines, and not those of the step that the model states."""
+    step = 4.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
+    case = recording(None, 82, moving=False)
+    samples = case.samples.copy()
+    coarser = in_steps(samples["dtheta"][:, 0], 1.6 * step)
+    samples["dtheta"] = in_steps(samples["dtheta"], step)
+    samples["dtheta"][:, 0] = coarser
+    report = discrepancy([replace(case, samples=samples)], model_in_steps(step))
+    assert report.verdict == "named", report.document["text"]
+    (found,) = report.findings
+    assert (found["effect"], found["channel"]) == ("quantisation", "gyro_x")
+    assert found["parameters"]["step"]["value"] == pytest.approx(1.6 * step, rel=1e-3)
+
+
+def test_larger_white_noise_takes_its_rounding_along() -> None:
+    """Noise of 1.28 times the stated size jolts a readout in steps of 3 σ: its errors are whiter than stated.
+
+    The mean of RUNS errors over their σ is standard normal over √RUNS, 99.9 %.
+    """
+    step, more, runs = 3.0 * WHITE["gyro"] / np.sqrt(RATE_HZ), 0.8 * WHITE["gyro"], 10
+    off = []
+    for run in range(runs):
+        case = recording(None, 83 + run)
+        samples = case.samples.copy()
+        samples["dtheta"][:, 0] += more / np.sqrt(RATE_HZ) * np.random.default_rng(run).standard_normal(len(samples))
+        samples["dtheta"] = in_steps(samples["dtheta"], step)
+        (found,) = discrepancy([replace(case, samples=samples)], model_in_steps(step)).findings
+        assert (found["effect"], found["channel"]) == ("random_walk", "gyro_x")
+        coefficient = found["parameters"]["coefficient"]
+        off.append((coefficient["value"] - more) / coefficient["sigma"])
+    assert abs(np.mean(off)) < 3.29 / np.sqrt(runs), off
