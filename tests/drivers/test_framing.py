@@ -30,7 +30,17 @@ BIT_RATE = 921600
 BYTE_S = 10 / BIT_RATE
 
 
-class LongFrames(Protocol):
+class FramesOnly(Protocol):
+    """A protocol as a splitter sees it: what frames hold it never asks."""
+
+    def decoder(self) -> Decoder:
+        raise AssertionError("a splitter does not decode")
+
+    def encode_samples(self, samples: SampleArray) -> bytes:
+        raise AssertionError("a splitter does not encode")
+
+
+class LongFrames(FramesOnly):
     """The hardest kind to split: one byte of sync, any length up to 64 kB, in the style of public receivers' logs."""
 
     name: ClassVar[str] = "long"
@@ -46,19 +56,13 @@ class LongFrames(Protocol):
     def check(self, data: Buffer, start: int, stop: int) -> bool:
         return zlib.crc32(data[start : stop - 4]) == int.from_bytes(data[stop - 4 : stop], "little")
 
-    def decoder(self) -> Decoder:
-        raise NotImplementedError
-
-    def encode_samples(self, samples: SampleArray) -> bytes:
-        raise NotImplementedError
-
     @staticmethod
     def frame(body: bytes) -> bytes:
         head = b"\xfa" + struct.pack("<H", len(body)) + body
         return head + struct.pack("<I", zlib.crc32(head))
 
 
-class NovAtel(Protocol):
+class NovAtel(FramesOnly):
     """Just enough of NovAtel's binary framing for the public resynchronisation case."""
 
     name: ClassVar[str] = "novatel"
@@ -75,12 +79,6 @@ class NovAtel(Protocol):
     def check(self, data: Buffer, start: int, stop: int) -> bool:
         crc = zlib.crc32(data[start : stop - 4], 0xFFFFFFFF) ^ 0xFFFFFFFF
         return crc == int.from_bytes(data[stop - 4 : stop], "little")
-
-    def decoder(self) -> Decoder:
-        raise NotImplementedError
-
-    def encode_samples(self, samples: SampleArray) -> bytes:
-        raise NotImplementedError
 
 
 def chunks(data: bytes, rng: random.Random, longest: int = 300) -> Iterator[bytes]:
