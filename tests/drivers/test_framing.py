@@ -37,7 +37,7 @@ class FramesOnly(Protocol):
         raise AssertionError("a splitter does not decode")
 
     def encode_samples(self, samples: SampleArray) -> bytes:
-        raise AssertionError("a splitter does not encode")
+        raise AssertionError(f"a splitter does not encode ({len(samples)} samples)")
 
 
 class LongFrames(FramesOnly):
