@@ -187,12 +187,22 @@ def cosine_basis(n: int, interval_s: float, *, tilted: bool = False) -> Basis:
         columns.append(markov)
         names.append(f"markov {correlation * interval_s:.3g} s")
         if correlation * interval_s > _SWAYS_S:
-            sway = markov**2 if tilted else 4.0 * (sine2 + 1.0 / n**2) * markov**2
+            sway = markov**2 if tilted else 4.0 * (sine2 + _ends(decay, n)) * markov**2
             columns.append(sway / sway.max())
             names.append(f"sway {correlation * interval_s:.3g} s")
         correlation *= _GM_RATIO
     counts = np.diff(bounds).astype(np.float64)
     return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s)
+
+
+def _ends(decay: float, n: int) -> float:
+    """Return what sin² of half the frequency must be raised by for a rate whose angle is a record's ends apart.
+
+    Summed by parts, the coefficients of a difference hold the values at both ends: twice the variance of the angle,
+    each two in n of the power. That variance is the mean over all frequencies of the angle's power.
+    """
+    variance = (1.0 + decay**2) / (1.0 - decay**2)
+    return variance / n * ((1.0 - decay) / (1.0 + decay)) ** 2
 
 
 @dataclass(frozen=True)
