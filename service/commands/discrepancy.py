@@ -81,6 +81,8 @@ def _show(report: Report, out: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from simulators.discrepancy.words import alternatives
+
     console = Console()
     console.print(f"[bold]{report.verdict}[/bold]. {report.document['text']}", highlight=False)
     if report.findings:
@@ -90,7 +92,7 @@ def _show(report: Report, out: Path | None) -> None:
                 f"{name} {p['value']:.4g}" + (f" ± {p['sigma']:.2g}" if p["sigma"] else "") + f" {p['unit']}"
                 for name, p in finding["parameters"].items()
             )
-            others = ", ".join(f"{a['effect']} on {a['channel']}" for a in finding["alternatives"])
+            others = ", ".join(alternatives(finding))
             table.add_row(finding["effect"], finding["channel"], sizes, f"{finding['evidence_nats']:.1f}", others)
         console.print(table)
     if out is not None:

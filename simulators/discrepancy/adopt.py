@@ -9,7 +9,7 @@ passes a margin.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS
 from inertial.rounding import largest_line
 from simulators.discrepancy.atoms import best_line, score_of
-from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Library, Slot, is_usual
+from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
@@ -38,6 +38,7 @@ _LEADERS = 12
 _REFINED = 12
 _SHARPENED = 3
 _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
+_ORDERS = 2.0  # in which two names can be named
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
 _STEPS_TRIED = 3  # of a channel
@@ -56,15 +57,25 @@ class Scored:
     score: float
 
 
+@dataclass(frozen=True)
+class Together:
+    """Two names of one sensor that explain something only together: score as of one, shapes refined."""
+
+    hypotheses: tuple[Hypothesis, Hypothesis]
+    score: float
+
+
 @dataclass(eq=False)
 class Adopted:
-    """An adopted hypothesis with its rivals at the end, best first."""
+    """An adopted hypothesis; its rivals, best first, are looked for at the end (:mod:`.rivals`)."""
 
     hypothesis: Hypothesis
     gain: float
     score: float
     ties: list[Scored] = field(default_factory=list)
     rivals: list[Scored] = field(default_factory=list)
+    pairs: list[Together] = field(default_factory=list)
+    """Of two names each, that tie with it."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +113,8 @@ class Searcher:
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
 
-    def run(self) -> Search:
-        """Search until nothing more passes the margin."""
+    def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
+        """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
         bare = self.evidence.fit([])
         if self.evidence.restate(bare.rss):
             bare = self.evidence.fit([])
@@ -116,11 +127,11 @@ class Searcher:
             adopted, current = self._with_new(current, adopted)
             if len(adopted) == known:
                 break
-            adopted, current = self._polish(*self._settle(adopted, current, adopted[:known]))
+            adopted, current = self.polish(*self._settle(adopted, current, adopted[:known]))
             if self.evidence.restate(current.rss):
-                bare, current = self.evidence.fit([]), self._fit_of(adopted)
+                bare, current = self.evidence.fit([]), self.fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted)
-        return Search(self.evidence, self._with_rivals(adopted, current), current, bare)
+        return adopted, current, bare
 
     def _correct(self, bare: Fit) -> None:
         """Let readout effects act on the input with the reference's own errors in it, where these are to be felt."""
@@ -151,19 +162,29 @@ class Searcher:
         other = [s for s in scored if s.hypothesis.kind is Kind.REFERENCE]
         curves = [s for s in scored if s.hypothesis.kind is Kind.EMPIRICAL]
         best = _plainest(named)
-        if other and other[0].score > MARGIN and (best is None or other[0].score > best.score + 1.0):
+        if other and other[0].score > MARGIN and (best is None or other[0].score >= best.score):
             best = other[0]
         curve = curves[0] if curves else None
         if best is not None and curve is not None and curve.score > best.score:
             sharp = [self._sharpened(s, current, adopted) for s in named[:_SHARPENED]]
             named = sorted([*sharp, *named[_SHARPENED:]], key=lambda s: -s.score)
             best = max((best, named[0]), key=lambda s: s.score)
-        if curve is not None and curve.score > MARGIN + (best.score if best and best.score > MARGIN else 0.0):
+        certain = -math.inf if best is None else self._certain(best, named)
+        if curve is not None and curve.score > MARGIN + (certain if certain > MARGIN else 0.0):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
                 return pair
             return curve
-        return best if best is not None and best.score > MARGIN else None
+        return best if certain > MARGIN else None
+
+    def _certain(self, best: Scored, named: Sequence[Scored]) -> float:
+        """Return the evidence that one of the names that tie on the best's sensor is there, whichever it is.
+
+        Of hypotheses that share one penalty of looking the Bayes factors add up.
+        """
+        ties = [s for s in named if s is not best and s.score > best.score - TIE]
+        ties = [s for s in ties if self.channels(s.hypothesis) == self.channels(best.hypothesis)]
+        return best.score + math.log1p(sum(math.exp(s.score - best.score) for s in ties))
 
     def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[float, list[Hypothesis], Fit] | None:
         """Return two names that only together explain what a wide noise model takes for noise: their score, fit of all.
@@ -171,45 +192,58 @@ class Searcher:
         Each alone leaves so much that the noise stays wide, in which it has gained next to nothing. Beside the score
         stands what is adopted with them, for the shapes of the others may have changed.
         """
-        wide = [slot for slot in self.evidence.slots if current.noise[slot].level != STATED]
+        wide = {slot[1]: slot for slot in self.evidence.slots if current.noise[slot].level != STATED}
         if not wide:
             return None
         look = Look(self.evidence, current, self.quiet(current))
+        pool = self.unlike({h.name for h in adopted})
         best: tuple[float, list[Hypothesis], Fit] | None = None
-        for slot in wide:
-            for pair in self._pairs_in_quiet(slot, look, {h.name for h in adopted}):
-                pair = [self._timed(h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
-                fit = self._fit_of([*adopted, *pair], current)
-                both, fit = self._polish([*adopted, *pair], fit)
-                pair = both[len(adopted) :]
-                count, places = sum(len(h.columns) for h in pair), math.prod(self._places(h) for h in pair)
-                score = bayes_factor(fit.value - current.value, count, places)
+        for channel, slot in wide.items():
+            for pair in self.pairs([h for h in pool if self.channels(h) == {channel}], look, MARGIN):
+                timed = [self._timed(h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
+                score, both, fit = self.joint(timed, adopted, current)
                 if score > max(MARGIN, best[0] if best else 0.0):
                     best = score, both, fit
         return best
+
+    def joint(
+        self, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit
+    ) -> tuple[float, list[Hypothesis], Fit]:
+        """Return the score of two names beside those adopted; all of them, shapes refined; their fit."""
+        both, fit = self.polish([*adopted, *pair], self.fit_of([*adopted, *pair], current))
+        pair = both[len(adopted) :]
+        count, places = sum(len(h.columns) for h in pair), math.prod(self.places(h) for h in pair) / _ORDERS
+        return bayes_factor(fit.value - current.value, count, places), both, fit
 
     def _timed(self, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
         """Return a step at its best time beside others in quiet noise; any other name as it is."""
         if one.effect != "bias_step":
             return one
-        fit = self._fit_of(others, current)
+        fit = self.fit_of(others, current)
         power = self.evidence.quiet(slot, fit.rss[slot]).power
         first, _ = self.evidence.steps(slot).best(self._score_left(slot, fit, power), power)
         return self.step_trial(slot, first) or one
 
-    def _pairs_in_quiet(self, slot: Slot, look: Look, taken: set[tuple[str, str]]) -> list[list[Hypothesis]]:
-        """Return the pairs of names of one channel that explain most if nothing slow is random there."""
+    def channels(self, hypothesis: Hypothesis) -> set[int]:
+        """Return the channels that a hypothesis touches in any scene."""
+        return {channel for _, channel in self.evidence.touched(hypothesis.columns)}
+
+    def unlike(self, taken: Collection[tuple[str, str]]) -> list[Hypothesis]:
+        """Return the names of one column but those taken."""
         pool = [h for h in self.library.hypotheses if h.kind is Kind.NAMED and h.name not in taken]
-        pool = [h for h in pool if len(h.columns) == 1 and h.columns[0] < self.evidence.base and not h.unit_amplitude]
-        pool = [h for h in pool if self.evidence.touched(h.columns) == {slot}]
+        return [h for h in pool if len(h.columns) == 1 and h.columns[0] < self.evidence.base and not h.unit_amplitude]
+
+    def pairs(self, pool: Sequence[Hypothesis], look: Look, least: float) -> list[list[Hypothesis]]:
+        """Return the two names each that explain most together and promise more than ``least``, a few."""
         gains = look.pairs([h.columns[0] for h in pool])
-        places = np.log([self._places(h) for h in pool])
-        scores = np.triu(gains - np.log(np.maximum(gains, 1.0)) - 1.0 - places[:, None] - places, 1)
+        places = np.log([self.places(h) for h in pool])
+        scores = gains - np.log(np.maximum(gains, 1.0)) - 1.0 - places[:, None] - places + math.log(_ORDERS)
+        scores = np.triu(scores, 1)
         found: dict[tuple[tuple[str, str], ...], list[Hypothesis]] = {}
         for place in np.argsort(-scores, axis=None)[:_PAIRS_LOOKED_AT]:
             i, j = divmod(int(place), len(pool))
             names = (pool[i].name, pool[j].name)
-            if scores[i, j] > MARGIN and names[0] != names[1] and names not in found:
+            if scores[i, j] > least and names[0] != names[1] and names not in found:
                 found[names] = [pool[i], pool[j]]
             if len(found) == _PAIRS:
                 break
@@ -232,9 +266,9 @@ class Searcher:
             trials = [self.step_trial(one.slot, first) for first in one.steps]
             trials += [self.line_trial(one.slot, hertz) for hertz in one.lines_hz]
             new = [trial for trial in trials if trial is not None]
-            fit = self._fit_of([*adopted, *new], current)
+            fit = self.fit_of([*adopted, *new], current)
             count = sum(len(h.columns) for h in new)
-            places = math.prod(self._places(h) for h in new)
+            places = math.prod(self.places(h) for h in new)
             if bayes_factor(fit.value - current.value, count, places) > 0.5 * MARGIN:  # or it would not stay
                 return [*adopted, *new], fit
         return list(adopted), current
@@ -242,7 +276,7 @@ class Searcher:
     def _sharpened(self, one: Scored, current: Fit, adopted: Sequence[Hypothesis]) -> Scored:
         """Return a name with its shape refined in the noise that is left with it."""
         finer = self._refine(one.hypothesis, current, Look(self.evidence, current, one.fit.noise))
-        again = self._score(finer, current, adopted) if finer is not one.hypothesis else None
+        again = self.score(finer, current, adopted) if finer is not one.hypothesis else None
         return again if again is not None and again.score > one.score else one
 
     def _pair(self, named: Sequence[Scored], adopted: Sequence[Hypothesis], curve: Scored) -> Scored | None:
@@ -269,7 +303,7 @@ class Searcher:
             if promise + max(_SLACK, slack * promise) < wanted:
                 continue
             refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
-            one = self._score(refined, current, adopted)
+            one = self.score(refined, current, adopted)
             if one is not None and not self._is_rounding(one):
                 scored.append(one)
                 best[hypothesis.kind] = max(best.get(hypothesis.kind, -math.inf), one.score)
@@ -303,7 +337,7 @@ class Searcher:
             look = Look(self.evidence, current, noise)
             gains = look.gains(pool)
             scores = np.array(
-                [bayes_factor(g, len(h.columns), self._places(h)) for g, h in zip(gains, pool, strict=True)]
+                [bayes_factor(g, len(h.columns), self.places(h)) for g, h in zip(gains, pool, strict=True)]
             )
             room = {Kind.NAMED: _LEADERS, Kind.REFERENCE: 3, Kind.EMPIRICAL: 3}
             seen: set[tuple[str, str]] = set()
@@ -322,19 +356,19 @@ class Searcher:
         """Return the noise in which nothing slow is random: the stated one, or white and rounding alone."""
         return {slot: self.evidence.quiet(slot, rss) for slot, rss in current.rss.items()}
 
-    def _places(self, hypothesis: Hypothesis) -> float:
+    def places(self, hypothesis: Hypothesis) -> float:
         if hypothesis.kind is not Kind.NAMED:
             return self.names
         return self.names * hypothesis.places
 
-    def _score(self, hypothesis: Hypothesis, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
+    def score(self, hypothesis: Hypothesis, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
         ids = [i for h in (*adopted, hypothesis) for i in h.columns]
         fixed = [i for h in (*adopted, hypothesis) if h.unit_amplitude for i in h.columns]
         fit = self.evidence.fit(ids, current, fixed)
         gain = fit.value - current.value
         if not math.isfinite(gain):
             return None
-        return Scored(hypothesis, fit, gain, bayes_factor(gain, len(hypothesis.columns), self._places(hypothesis)))
+        return Scored(hypothesis, fit, gain, bayes_factor(gain, len(hypothesis.columns), self.places(hypothesis)))
 
     # shapes ------------------------------------------------------------------------------------------------------
 
@@ -436,7 +470,7 @@ class Searcher:
 
     # second thoughts -----------------------------------------------------------------------------------------------
 
-    def _fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
+    def fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 
@@ -446,12 +480,12 @@ class Searcher:
         """Drop those of the judged that the others, or a finer fit of noise and shapes, have made needless."""
         for h in judged:
             rest = [other for other in adopted if other is not h]
-            without = self._fit_of(rest, current)
-            if bayes_factor(current.value - without.value, len(h.columns), self._places(h)) < 0.5 * MARGIN:
+            without = self.fit_of(rest, current)
+            if bayes_factor(current.value - without.value, len(h.columns), self.places(h)) < 0.5 * MARGIN:
                 return self._settle(rest, without, [other for other in judged if other is not h])
         return adopted, current
 
-    def _polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
+    def polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
         """Refine the shapes once more, each beside all others and in the noise that is left with all of them."""
         for place, h in enumerate(adopted):
             if h.kind is not Kind.NAMED or not (h.shape or h.chord):
@@ -462,28 +496,10 @@ class Searcher:
             if finer is h:
                 continue
             trial = [*adopted[:place], finer, *adopted[place + 1 :]]
-            fit = self._fit_of(trial, current)
+            fit = self.fit_of(trial, current)
             if fit.value > current.value:
                 adopted, current = trial, fit
         return adopted, current
-
-    def _with_rivals(self, adopted: list[Hypothesis], current: Fit) -> list[Adopted]:
-        """Say for each what else could stand in its place, the others present."""
-        out: list[Adopted] = []
-        for place, h in enumerate(adopted):
-            self.progress(0.8 + 0.15 * place / max(len(adopted), 1), f"looking for rivals of {h.effect}")
-            rest = adopted[:place] + adopted[place + 1 :]
-            without = self._fit_of(rest, current)
-            own = self._score(h, without, rest)
-            if own is None:
-                continue
-            near = self.rank(without, rest, own.score - _SLACK)
-            ranked = [s for s in near if s.hypothesis.name != h.name]
-            entry = Adopted(h, own.gain, own.score, rivals=ranked[:8])
-            if h.kind is Kind.NAMED:
-                entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
-            out.append(entry)
-        return out
 
 
 def _plainest(named: Sequence[Scored]) -> Scored | None:
@@ -507,8 +523,3 @@ _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
-
-
-def search(library: Library, progress: Progress | None = None) -> Search:
-    """Search a library of scenes."""
-    return Searcher(Evidence(library), progress).run()

@@ -7,6 +7,7 @@ of the library at the least of its typical sizes: which of them could hide in th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,15 +112,15 @@ def _plans(evidence: Evidence) -> tuple[_Plan, ...]:
     return (rest, *PLANS[1:])
 
 
-Question = tuple[Hypothesis, Sequence[Hypothesis]]
-"""A leader and its nearest rivals."""
+Question = tuple[Hypothesis, Sequence[Sequence[Hypothesis]]]
+"""A leader and its nearest rivals, of one name or of two that do it together."""
 
 
 def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list[list[Proposal]]:
     """Return for each question the recordings, the most telling between leader and rivals first."""
     scene = evidence.library.scenes[0]
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
-    names = {h.name for leader, rivals in questions for h in (leader, *rivals)}
+    names = {h.name for leader, rivals in questions for h in (leader, *itertools.chain(*rivals))}
     answers: list[list[Proposal]] = [[] for _ in questions]
     for plan in _plans(evidence) if questions else ():
         imagined = Evidence(Library([_imagined(scene, model, plan)], only=names))
@@ -215,17 +216,23 @@ def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
     return replace(imagined, measured=imagined.predicted.copy())
 
 
-def _expected(evidence: Evidence, leader: Hypothesis, amplitude: Array, rivals: Sequence[Hypothesis]) -> float:
+def _expected(
+    evidence: Evidence, leader: Hypothesis, amplitude: Array, rivals: Sequence[Sequence[Hypothesis]]
+) -> float:
     library = evidence.library
     own = [h for h in library.hypotheses if h.name == leader.name]
     if not own:
         return 0.0
     wanted = min(own, key=lambda h: _shape_distance(h, leader))
     least = np.inf
-    others = [h for h in library.hypotheses if h.name in {r.name for r in rivals} and h.name != leader.name]
+    others: list[Sequence[Hypothesis]] = [()]
+    for names in {tuple(h.name for h in rival) for rival in rivals}:
+        if leader.name not in names:  # counted from elsewhere, with a constant beside it: no recording tells that apart
+            others += itertools.product(*([h for h in library.hypotheses if h.name == name] for name in names))
     power = {slot: evidence.power(slot) for slot in evidence.slots}
-    for other in [None, *others]:
-        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], other))
+    for other in others:
+        columns = [i for h in other for i in h.columns]
+        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], columns))
     return float(least)
 
 
@@ -237,10 +244,10 @@ def _shape_distance(one: Hypothesis, two: Hypothesis) -> float:
 
 
 def _distance(
-    evidence: Evidence, power: dict[Slot, Array], wanted: Hypothesis, amplitude: Array, other: Hypothesis | None
+    evidence: Evidence, power: dict[Slot, Array], wanted: Hypothesis, amplitude: Array, others: Sequence[int]
 ) -> float:
-    """Return half the squared whitened length of what ``wanted`` adds and neither nuisance nor ``other`` imitates."""
-    ids = [*wanted.columns, *evidence.prior, *(other.columns if other is not None else ())]
+    """Return half the squared whitened length of what ``wanted`` adds and neither nuisances nor ``others`` imitate."""
+    ids = [*wanted.columns, *evidence.prior, *others]
     k = len(wanted.columns)
     matrix = np.zeros((len(ids), len(ids)))
     for slot in evidence.slots:

@@ -13,6 +13,7 @@ from scipy.fft import idct
 from inertial.allan import overlapping_allan
 from inertial.documents import CHANNELS
 from simulators.discrepancy.gap import adopted_rates
+from simulators.discrepancy.words import alternatives
 
 if TYPE_CHECKING:
     from simulators.discrepancy.report import Report
@@ -79,7 +80,7 @@ def _findings(document: dict[str, Any]) -> str:
             f"{name} {_plain(float(p['value']))} ± {_plain(p['sigma'])} {p['unit']}"
             for name, p in finding["parameters"].items()
         )
-        others = ", ".join(f"{a['effect']} on {a['channel']}" for a in finding["alternatives"]) or "none"
+        others = ", ".join(alternatives(finding)) or "none"
         behind = ", ".join(
             f"{a['effect']} on {a['channel']} ({a['behind_nats']:.0f})" for a in finding["runners_up"][:4]
         )

@@ -26,6 +26,7 @@ from simulators.discrepancy.next_recording import propose, propose_longer, propo
 from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
+from simulators.discrepancy.rivals import with_rivals
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
@@ -102,7 +103,9 @@ def discrepancy(
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)
-    search = Searcher(evidence, tell).run()
+    searcher = Searcher(evidence, tell)
+    adopted, fit, bare = searcher.run()
+    search = Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
     tell(0.95, "writing down")
     report = _report(recordings, model, raw, scenes, search, mistakes, stuck, clipped, outliers)
     if out is not None:
@@ -222,7 +225,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
         "channel": h.channel,
         "parameters": {name: value.model_dump() for name, value in values.items()},
         "confidence": _confidence(adopted),
-        "alternatives": [_rival(s.hypothesis, adopted.score - s.score) for s in adopted.ties],
+        "alternatives": _alternatives(adopted),
         "runners_up": [
             _rival(s.hypothesis, adopted.score - s.score)
             for s in adopted.rivals
@@ -240,8 +243,22 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
 
 def _confidence(adopted: Adopted) -> float:
     """Return the probability of this name among those that were looked at, and that it is there at all."""
-    odds = sum(math.exp(min(s.score - adopted.score, 50.0)) for s in adopted.ties) + math.exp(-adopted.score)
+    scores = [s.score for s in adopted.ties] + [pair.score for pair in adopted.pairs]
+    odds = sum(math.exp(min(score - adopted.score, 50.0)) for score in scores) + math.exp(-adopted.score)
     return 1.0 / (1.0 + odds)
+
+
+def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
+    """Return what ties with a name: names, and then those that do only together with another, each once."""
+    found = [_rival(s.hypothesis, adopted.score - s.score) for s in adopted.ties]
+    known = {adopted.hypothesis.name, *(s.hypothesis.name for s in adopted.ties)}
+    for pair in adopted.pairs:
+        for h, other in (pair.hypotheses, pair.hypotheses[::-1]):
+            if h.name not in known:
+                known.add(h.name)
+                with_name = {"effect": other.effect, "channel": other.channel}
+                found.append({**_rival(h, adopted.score - pair.score), "together_with": with_name})
+    return found
 
 
 def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:
@@ -406,10 +423,7 @@ def _next(
     evidence, fit = search.evidence, search.fit
     curves = [a for a in search.of_kind(Kind.EMPIRICAL) if any(a is other for other in unexplained.curves)]
     asked = [*named, *curves]
-    questions = [
-        (a.hypothesis, [s.hypothesis for s in (a.ties or a.rivals[:2]) if s.hypothesis.kind is Kind.NAMED])
-        for a in asked
-    ]
+    questions = [(a.hypothesis, _asked_of(a)) for a in asked]
     answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]
     by_name = {a.hypothesis.name: answer for a, answer in zip(asked, answers, strict=True)}
     for finding in findings:
@@ -422,8 +436,14 @@ def _next(
         term = unexplained.terms[0]
         return [asdict(propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"])))]
     if named:
-        return by_name[min(named, key=lambda a: (not a.ties, a.score)).hypothesis.name]
+        return by_name[min(named, key=lambda a: (not (a.ties or a.pairs), a.score)).hypothesis.name]
     return [asdict(proposal) for proposal in propose_unseen(evidence, fit)]
+
+
+def _asked_of(adopted: Adopted) -> list[tuple[Hypothesis, ...]]:
+    """Return what a next recording is to tell a name from: what ties with it, else its nearest rivals."""
+    tied = [(s.hypothesis,) for s in adopted.ties] + [pair.hypotheses for pair in adopted.pairs]
+    return tied or [(s.hypothesis,) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
 
 
 def _child(model: BlockModel, added: list[EffectEntry]) -> BlockModel:

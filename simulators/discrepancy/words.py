@@ -67,10 +67,18 @@ def _finding(finding: dict[str, Any]) -> str:
     name = finding["effect"].replace("_", " ")
     sizes = ", ".join(_value(n, p) for n, p in finding["parameters"].items())
     text = f"There is a {name} on {finding['channel']}{f' ({sizes})' if sizes else ''}"
-    others = [f"{a['effect'].replace('_', ' ')} on {a['channel']}" for a in finding["alternatives"]]
-    if others:
-        text += f"; this data cannot tell it from {' or '.join(others)}"
+    if finding["alternatives"]:
+        text += f"; this data cannot tell it from {' or '.join(alternatives(finding)).replace('_', ' ')}"
     return text + "."
+
+
+def alternatives(finding: dict[str, Any]) -> list[str]:
+    """Return what ties with a finding, two names that do so only together as one."""
+    texts: dict[frozenset[str], str] = {}
+    for one in finding["alternatives"]:
+        names = [f"{other['effect']} on {other['channel']}" for other in (one, one.get("together_with")) if other]
+        texts.setdefault(frozenset(names), " with ".join(names))
+    return list(texts.values())
 
 
 def _value(name: str, parameter: dict[str, Any]) -> str:

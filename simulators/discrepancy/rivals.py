@@ -1,0 +1,57 @@
+"""What else could stand in the place of an adopted name, the others present: another name, or two together.
+
+A single name of the wrong form may explain two that hide on one sensor nearly as well as they do, and one whose
+coefficient is counted from an unusual temperature or voltage *is* a constant and the same name counted from the usual
+one. Two such names tie with the one found as a third name would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from simulators.discrepancy.adopt import TIE, Adopted, Scored, Searcher, Together
+from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
+from simulators.discrepancy.evidence import Fit, Look
+
+_SLACK = 10.0  # nats that refining shapes may still add to what a rival promises
+_SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
+_LISTED = 8
+
+
+def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> list[Adopted]:
+    """Say for each of the adopted what else could stand in its place."""
+    found = []
+    for place, h in enumerate(adopted):
+        searcher.progress(0.8 + 0.15 * place / len(adopted), f"looking for rivals of {h.effect}")
+        rest = [other for other in adopted if other is not h]
+        without = searcher.fit_of(rest, fit)
+        own = searcher.score(h, without, rest)
+        if own is None:
+            continue
+        ranked = [s for s in searcher.rank(without, rest, own.score - _SLACK) if s.hypothesis.name != h.name]
+        entry = Adopted(h, own.gain, own.score, rivals=ranked[:_LISTED])
+        if h.kind is Kind.NAMED:
+            entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
+            entry.pairs = _pairs(searcher, own, rest, without)
+        found.append(entry)
+    return found
+
+
+def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:
+    """Return the two names each that tie with one, best first."""
+    h = own.hypothesis
+    channels = searcher.channels(h)
+    if len(channels) != 1:
+        return []
+    look = Look(searcher.evidence, without, own.fit.noise)
+    pool = [other for other in searcher.unlike({o.name for o in rest}) if searcher.channels(other) == channels]
+    pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
+    gain = look.gain(h)
+    mine = own.score + gain - own.gain - len(h.columns) * 0.5 * math.log(max(gain, 1.0) / max(own.gain, 1.0))
+    tied = []
+    for pair in searcher.pairs(pool, look, mine - TIE - _SLACK_OF_TWO):
+        score, both, _ = searcher.joint(pair, rest, without)
+        if score > own.score - TIE:
+            tied.append(Together((both[-2], both[-1]), score))
+    return sorted(tied, key=lambda one: -one.score)
