@@ -21,6 +21,7 @@ from drivers.recording import Recording, RecordingError, read_recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.discrepancy.repair import Gaps, Repaired, repair
+from simulators.discrepancy.shaking import spans_as_shaken
 from simulators.discrepancy.whitening import FREE_SHARE, freely_rounded_hz
 from simulators.effects import get_effect
 from simulators.effects.base import Circumstances, Occasion, Readings, SampleEffect, Stage, values_of
@@ -256,6 +257,9 @@ def following_vibrations(scene: Scene) -> Scene:
     seen, predicted, shaken = replace(scene.seen, accel_mps2=accel), scene.predicted, np.zeros_like(accel)
     if scene.shaken.any():
         predicted = _readings(scene.model, seen)
+    setup = spans_as_shaken(scene.setup, seen.time_s, (scene.measured - predicted)[:, :3])
+    shaking = vibration_mean_square(setup, seen.time_s - 0.5 * seen.interval_s)
+    scene, seen = replace(scene, setup=setup), replace(seen, vibration_mps2_squared=shaking)
     for _ in range(_ROUNDS):  # what a reading says of its input depends on the model's scale, so again
         shaken += _shaken(scene.setup, seen, scene.measured - predicted)
         seen = replace(seen, accel_mps2=accel + shaken)

@@ -57,6 +57,7 @@ class _Plan:
     duration_s: float
     motion: tuple[MotionMeta, ...] = ()
     rise_c: float = 0.0
+    swing_v: float = 0.0
 
 
 def _turn(start_s: float, end_s: float, rate_dps: float, axis: list[float]) -> TurnMeta:
@@ -100,6 +101,7 @@ PLANS = (
         ),
     ),
     _Plan("heat", "twenty minutes at rest while the block warms by 20 K and cools again", REST_S, rise_c=20.0),
+    _Plan("supply", "five minutes at rest while the supply goes from 24 V to 32 V and back", MOVED_S, swing_v=4.0),
 )
 
 
@@ -207,7 +209,7 @@ def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
     samples["time"] = np.arange(1, count + 1) / rate_hz
     phase = np.clip(samples["time"] / plan.duration_s, 0.0, 1.0)
     samples["temperature"][:, 0] = 20.0 + plan.rise_c * np.sin(np.pi * phase) ** 2
-    samples["supply"] = 28.0
+    samples["supply"] = 28.0 - plan.swing_v * np.cos(2.0 * np.pi * phase)
     meta = scene.recording.meta
     block = meta.block.model_copy(update={"sample_rate_hz": rate_hz, "model": None, "calibration": None})
     meta = meta.model_copy(update={"motion": list(plan.motion), "window": [], "block": block, "columns": {}})

@@ -14,6 +14,7 @@ from simulators.effects import get_effect
 from simulators.effects.base import unit_of
 
 _SHIFT = {"time_constant": 0.05, "half_width": 0.02, "limit": 0.002, "reference": 0.5, "nominal": 0.1}
+_UNTOLD = {"reference": 100.0, "nominal": 30.0}  # σ from which on these are what they are taken to be
 _REACH, _LOOKS = 4.0, 17  # σ of a time constant to either side over which its likelihood is looked at, and where
 _WIDEST = 0.5  # of its logarithm, for this
 _RELATIVE = ("time_constant", "half_width", "limit")
@@ -57,7 +58,10 @@ def parameters_of(
             size = 1.0 if hypothesis.unit_amplitude else float(fit.amplitude[free.index(hypothesis.columns[0])])
             if size != 0.0:
                 moved, spread = float(fit.amplitude[place]) * shift / size, abs(float(sigma[place]) * shift / size)
-                value += moved if abs(moved) < 2.0 * spread else 0.0
+                if spread > _UNTOLD.get(name, np.inf):  # a constant beside it makes up for any other
+                    spread = None
+                else:
+                    value += moved if abs(moved) < 2.0 * spread else 0.0
         if name == "frequency":
             spread = _frequency_sigma(evidence, values)
             values = _with_phase(values)

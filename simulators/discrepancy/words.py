@@ -74,10 +74,12 @@ def _finding(finding: dict[str, Any]) -> str:
 
 def alternatives(finding: dict[str, Any]) -> list[str]:
     """Return what ties with a finding, two names that do so only together as one."""
+    own = f"{finding['effect']} on {finding['channel']}"
     texts: dict[frozenset[str], str] = {}
     for one in finding["alternatives"]:
         names = [f"{other['effect']} on {other['channel']}" for other in (one, one.get("together_with")) if other]
-        texts.setdefault(frozenset(names), " with ".join(names))
+        text = " with ".join("it counted from the usual" if name == own else name for name in names)
+        texts.setdefault(frozenset(names), text)
     return list(texts.values())
 
 

@@ -105,3 +105,21 @@ def test_a_level_at_rest_beyond_its_own_sigma_is_named_though_no_block_held_out_
     tilts = [found["parameters"][name] for name in ("tilt_1", "tilt_2")]
     for tilt, true in zip(tilts, (-5e-4, -8e-4), strict=True):
         assert abs(tilt["value"] - true) < 3.3 * tilt["sigma"]
+
+
+@pytest.mark.parametrize("late_s", [-0.4, 0.4])
+def test_a_shaker_that_is_switched_on_or_off_at_another_time_makes_no_jumps(late_s: float) -> None:
+    """Half a g of shaking for a minute, 0.4 s before or after what is said of it."""
+    rng = np.random.default_rng(17)
+    hertz, phase = rng.uniform(3.0, 9.0, 12), rng.uniform(0.0, 2.0 * math.pi, 12)
+
+    def change(true: closed_form.Truth, readings: np.ndarray) -> None:
+        shaken = (true["t"] > 60.0 + late_s) & (true["t"] < 120.0 + late_s)
+        course = np.sin(2.0 * math.pi * hertz * true["t"][:, None] + phase).sum(axis=1)
+        readings[shaken, 2] += course[shaken] - course[shaken].mean()
+
+    case = closed_form.recording(change, 83, moving=False)
+    span = {"kind": "vibration", "start_s": 60.0, "end_s": 120.0, "grms": 0.25, "band_hz": [3.0, 9.0]}
+    meta = {**case.meta.model_dump(exclude_none=True), "motion": [{**span, "axis": [0.0, 0.0, 1.0]}]}
+    report = discrepancy([replace(case, meta=RecordingMeta.model_validate(meta))], closed_form.model())
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]

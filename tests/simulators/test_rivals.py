@@ -1,0 +1,71 @@
+"""What these data cannot tell from a name: one other, or two together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import closed_form
+import numpy as np
+import pytest
+from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
+
+from simulators.discrepancy.adopt import MARGIN
+from simulators.discrepancy.report import discrepancy
+
+ACCEL_SIGMA = WHITE["accel"] * np.sqrt(RATE_HZ)
+SUPPLY_V = 28.0 - 4.0 * np.linspace(0.3, 1.0, round(RATE_HZ * DURATION_S)) ** 2
+SENSITIVITY = 4e-4
+
+
+@pytest.mark.parametrize("shift", [0.0, 8e-4])
+def test_a_coefficient_from_an_unusual_voltage_may_be_one_from_the_usual_and_a_shift(shift: float) -> None:
+    """8e-4 m/s² are what two volts make: counted from 26 V the coefficient alone explains both."""
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 0] += shift + SENSITIVITY * (SUPPLY_V - 28.0)
+
+    case = recording(change, 91, moving=False)
+    samples = case.samples.copy()
+    samples["supply"] = SUPPLY_V
+    report = discrepancy([replace(case, samples=samples)], model())
+    (found,) = report.findings
+    assert found["effect"] == "supply_sensitivity"
+    coefficient, nominal = (found["parameters"][name] for name in ("coefficient", "nominal"))
+    assert abs(coefficient["value"] - SENSITIVITY) < 3.3 * coefficient["sigma"]
+    assert abs(nominal["value"] - (28.0 - shift / SENSITIVITY)) < 3.3 * nominal["sigma"]
+    together = {one["effect"]: one.get("together_with", {}).get("effect") for one in found["alternatives"]}
+    assert together.get("bias_shift") == ("supply_sensitivity" if shift else None)
+    assert ("bias shift on accel_x with it counted from the usual" in report.document["text"]) == (shift != 0.0)
+    assert report.document["next_recording"][0]["name"] == "supply"
+    assert report.document["next_recording"][0]["expected_nats"] > 10.0 * found["evidence_nats"]
+
+
+def test_where_a_shift_is_named_too_a_coefficient_is_counted_from_the_usual_voltage() -> None:
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 0] += 1.5e-3 + SENSITIVITY * (SUPPLY_V - 28.0)
+
+    case = recording(change, 91, moving=False)
+    samples = case.samples.copy()
+    samples["supply"] = SUPPLY_V
+    found = {
+        one["effect"]: one["parameters"] for one in discrepancy([replace(case, samples=samples)], model()).findings
+    }
+    assert set(found) == {"bias_shift", "supply_sensitivity"}
+    assert (found["supply_sensitivity"]["nominal"]["value"], found["supply_sensitivity"]["nominal"]["sigma"]) == (
+        28.0,
+        None,
+    )
+    shift = found["bias_shift"]["shift"]
+    assert abs(shift["value"] - 1.5e-3) < 3.3 * shift["sigma"]
+
+
+def test_that_one_of_several_names_is_there_is_surer_than_any_of_them() -> None:
+    """What grows with the input in six attitudes may be of any order; that it is there at all is beyond chance."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 2] += 0.15 * ACCEL_SIGMA * (true["accel"][:, 2] / closed_form.GRAVITY_MPS2) ** 3
+
+    (found,) = discrepancy([recording(change, 92)], model()).findings
+    assert found["evidence_nats"] < MARGIN
+    names = {found["effect"], *(one["effect"] for one in found["alternatives"])}
+    assert {"scale_factor", "scale_quadratic", "scale_cubic"} <= names
