@@ -442,7 +442,8 @@ def _next(
 
 def _asked_of(adopted: Adopted) -> list[tuple[Hypothesis, ...]]:
     """Return what a next recording is to tell a name from: what ties with it, else its nearest rivals."""
-    tied = [(s.hypothesis,) for s in adopted.ties] + [pair.hypotheses for pair in adopted.pairs]
+    tied: list[tuple[Hypothesis, ...]] = [(s.hypothesis,) for s in adopted.ties]
+    tied += [pair.hypotheses for pair in adopted.pairs]
     return tied or [(s.hypothesis,) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
 
 

@@ -68,19 +68,23 @@ def _finding(finding: dict[str, Any]) -> str:
     sizes = ", ".join(_value(n, p) for n, p in finding["parameters"].items())
     text = f"There is a {name} on {finding['channel']}{f' ({sizes})' if sizes else ''}"
     if finding["alternatives"]:
-        text += f"; this data cannot tell it from {' or '.join(alternatives(finding)).replace('_', ' ')}"
+        text += f"; this data cannot tell it from {' or '.join(alternatives(finding))}"
     return text + "."
 
 
 def alternatives(finding: dict[str, Any]) -> list[str]:
     """Return what ties with a finding, two names that do so only together as one."""
-    own = f"{finding['effect']} on {finding['channel']}"
+    own = _named(finding)
     texts: dict[frozenset[str], str] = {}
     for one in finding["alternatives"]:
-        names = [f"{other['effect']} on {other['channel']}" for other in (one, one.get("together_with")) if other]
+        names = [_named(other) for other in (one, one.get("together_with")) if other]
         text = " with ".join("it counted from the usual" if name == own else name for name in names)
         texts.setdefault(frozenset(names), text)
     return list(texts.values())
+
+
+def _named(one: dict[str, Any]) -> str:
+    return f"{one['effect'].replace('_', ' ')} on {one['channel']}"
 
 
 def _value(name: str, parameter: dict[str, Any]) -> str:
