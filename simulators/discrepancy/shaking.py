@@ -16,7 +16,7 @@ from simulators.motion import Setup, Vibration
 Array = NDArray[np.float64]
 
 _FELT = 6.0  # σ of the samples at rest by which one is shaken
-_MAD = 1.4826  # to σ
+_MOST, _MOST_SIGMA = 0.99, 2.576  # of samples, and within how many σ they lie: half may all read the same step
 _PAUSE = 8  # samples between two that are shaken
 _LATEST_S = 3.0  # that the shaking may be off; what goes on for longer is something else
 _FEWEST = 50  # samples at rest that tell how large their noise is
@@ -68,7 +68,7 @@ def _widened(vibration: Vibration, time_s: Array, residual: Array, planned: NDAr
 
 def _at_rest(values: Array) -> tuple[float, float]:
     middle = float(np.median(values))
-    return middle, max(_MAD * float(np.median(np.abs(values - middle))), 1e-300)
+    return middle, max(float(np.quantile(np.abs(values - middle), _MOST)) / _MOST_SIGMA, 1e-300)
 
 
 def _shaken(felt: NDArray[np.bool_]) -> int:

@@ -14,11 +14,14 @@ import pytest
 from drivers.recording import Recording, RecordingMeta, read_recording
 from drivers.recording_meta import TurnMeta
 from inertial.documents import BlockModel, parse_document
+from inertial.earth import Site
 from service.trials import record
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.report import discrepancy
+from simulators.discrepancy.shaking import spans_as_shaken
+from simulators.motion import Setup, Vibration
 from simulators.scenarios import demo_model, demo_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
@@ -123,3 +126,22 @@ def test_a_shaker_that_is_switched_on_or_off_at_another_time_makes_no_jumps(late
     meta = {**case.meta.model_dump(exclude_none=True), "motion": [{**span, "axis": [0.0, 0.0, 1.0]}]}
     report = discrepancy([replace(case, meta=RecordingMeta.model_validate(meta))], closed_form.model())
     assert (report.verdict, report.findings) == ("none", []), report.document["text"]
+
+
+@pytest.mark.parametrize("late_s", [-0.4, 0.0, 0.4])
+@pytest.mark.parametrize("step", [0.0, 20.0])
+def test_a_span_is_widened_to_where_it_was_felt_and_no_further(late_s: float, step: float) -> None:
+    """Samples of a readout in steps of 20 σ read the same but for one in sixteen."""
+    rng = np.random.default_rng(23)
+    time_s = np.arange(1, 20001) / 100.0
+    shaken = (time_s > 60.0 + late_s) & (time_s <= 120.0 + late_s)
+    along = rng.standard_normal(20000) + 300.0 * shaken * np.sin(40.0 * time_s)
+    if step:
+        along = np.diff(np.rint(np.cumsum(along + step / 16.0) / step), prepend=0.0) * step
+    residual = np.zeros((20000, 3))
+    residual[:, 1] = along
+    span = Vibration(60.0, 120.0, (0.0, 2.0, 0.0), 200.0, (5.0, 7.0))
+    setup = Setup(Site.at(0.6), 0.0, np.eye(3), (span,))
+    (found,) = spans_as_shaken(setup, time_s, residual).motions
+    assert found.start_s == pytest.approx(60.0 + min(late_s, 0.0), abs=0.03)
+    assert found.end_s == pytest.approx(120.0 + max(late_s, 0.0), abs=0.03)
