@@ -44,6 +44,7 @@ _BENT = 3.0  # share of its promise that a chord of the right size may add
 _STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
 _FELT = 0.5  # σ of a sample by which the reference's errors must move the input to be felt by a readout
+_NEAR_TURN_S = 0.3  # of a turn's end, where what the turn does begins or ends
 _SLACK = 10.0  # nats that refining a shape may still add to what it promises
 
 
@@ -280,14 +281,23 @@ class Searcher:
         return again if again is not None and again.score > one.score else one
 
     def _pair(self, named: Sequence[Scored], adopted: Sequence[Hypothesis], curve: Scored) -> Scored | None:
-        """Return the first of two names that together explain as much as a curve does."""
+        """Return the first of two names that together explain as much as a curve does.
+
+        Steps at both ends of a turn do not count: they are what the turn does.
+        """
         for first in named:
             if first.score < MARGIN:
                 continue
             seconds = [s for s in self.rank(first.fit, [*adopted, first.hypothesis]) if s.hypothesis.kind is Kind.NAMED]
+            if self._ends_a_turn(first.hypothesis):
+                seconds = [s for s in seconds if not self._ends_a_turn(s.hypothesis)]
             if seconds and seconds[0].score > MARGIN and first.score + seconds[0].score > curve.score - TIE:
                 return first
         return None
+
+    def _ends_a_turn(self, one: Hypothesis) -> bool:
+        at = np.array([one.shape["time"]]) if one.effect == "bias_step" else np.empty(0)
+        return any(scene.near_turn_ends(at, _NEAR_TURN_S).any() for scene in self.library.scenes)
 
     def rank(self, current: Fit, adopted: Sequence[Hypothesis], least: float = -math.inf) -> list[Scored]:
         """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted.

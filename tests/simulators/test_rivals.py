@@ -69,3 +69,15 @@ def test_that_one_of_several_names_is_there_is_surer_than_any_of_them() -> None:
     assert found["evidence_nats"] < MARGIN
     names = {found["effect"], *(one["effect"] for one in found["alternatives"])}
     assert {"scale_factor", "scale_quadratic", "scale_cubic"} <= names
+
+
+@pytest.mark.parametrize(("start_s", "names"), [(50.1, []), (36.0, ["bias_step", "bias_step"])])
+def test_two_steps_at_the_ends_of_a_turn_are_what_the_turn_does(start_s: float, names: list[str]) -> None:
+    """What lasts as long as a turn does but is a tenth of a second late has a curve that fits less well than steps."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 0] += 8.0 * ACCEL_SIGMA * ((true["t"] > start_s) & (true["t"] < start_s + 10.0))
+
+    report = discrepancy([recording(change, 95)], model())
+    assert [one["effect"] for one in report.findings] == names, report.document["text"]
+    assert report.verdict == ("named" if names else "unknown")
