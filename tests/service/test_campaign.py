@@ -347,3 +347,40 @@ def test_a_fleet_is_analysed_again_and_a_damaged_recording_is_a_row(tmp_path: Pa
     assert good["heldout_rms_after"] < good["heldout_rms_before"]
     assert (cut["verdict"], cut["effects"]) == ("refused", None)
     assert "zcut.parquet" in cut["reason"]
+
+
+@pytest.mark.long
+def test_a_killed_reanalysis_goes_on_where_it_was_and_finds_the_same(tmp_path: Path) -> None:
+    """Six recordings, each its own chunk; the run and its workers are killed after two, at whatever they are doing."""
+    model = demo_model(1)
+    (tmp_path / "block.json").write_text(model.canonical_json())
+    scenario = demo_scenario(1).warmed_up().with_motion([], 20.0)
+    for number in range(6):
+        shift = effect("bias_shift", "gyro_z", shift=(10.0 * number, "deg/h"))
+        seeded = scenario.model_copy(
+            update={"effect": [shift], "scenario": scenario.scenario.model_copy(update={"seed": number})}
+        )
+        simulate_recording(seeded, tmp_path / "fleet" / f"block-{number}", model=model)
+    text = (
+        '[campaign]\nstudy = "reanalysis"\nchunk = 1\n'
+        '[[block]]\nname = "a"\nmodel = "block.json"\nrecordings = ["fleet/*"]\n'
+    )
+    spec, out = spec_at(tmp_path, text), tmp_path / "out.parquet"
+    parts = out.with_name("out.parquet.parts")
+    command = [sys.executable, "-m", "service.cli", "campaign", str(spec), "--out", str(out), "--workers", "2"]
+    running = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        _until(parts, 2, running)
+        orphans = _workers(running.pid)
+    finally:
+        running.kill()
+        running.wait()
+    kept = list(parts.glob("0*.parquet"))
+    assert 2 <= len(kept) < 6
+    assert psutil.wait_procs([psutil.Process(pid) for pid in orphans if psutil.pid_exists(pid)], timeout=30)[1] == []
+    ended = subprocess.run([*command, "--json", str(tmp_path / "facts.json")], capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads((tmp_path / "facts.json").read_text())["run"]["now"] == 6 - len(kept)
+    found = pq.read_table(out).replace_schema_metadata(None)
+    assert untimed(found).equals(untimed(_in_one_go(read_campaign(spec).text(), 6)))
+    assert found.column("verdict").to_pylist().count("none") == 1  # of the first block nothing has shifted
