@@ -7,15 +7,20 @@ import hashlib
 import json
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from drivers.recording_meta import RecordingError, read_toml
 from service.campaign.factors import FACTORS, Factor, Level
 from service.errors import RefusedInput
 
 PAGE = "docs/campaigns.md lists the keys"
+
+
+Whole = Annotated[int, Strict()]
+Real = Annotated[float, Strict()]
+"""Numbers as TOML has them: ``true`` is none."""
 
 
 class _Section(BaseModel):
@@ -27,8 +32,8 @@ class _Section(BaseModel):
 class Range(_Section):
     """``{low, high}``: a span that a Latin hypercube covers; ``scale = "log"`` evenly in its logarithm."""
 
-    low: float
-    high: float
+    low: Real
+    high: Real
     scale: Literal["linear", "log"] = "linear"
 
 
@@ -36,10 +41,10 @@ class CampaignSection(_Section):
     """``[campaign]``: which kind of study, how many trials, from which seed, how many to a task."""
 
     study: Literal["grid", "latin_hypercube", "reanalysis"]
-    trials: int | None = Field(None, ge=1)
-    repeats: int = Field(1, ge=1)
-    seed: int = Field(1, ge=0)
-    chunk: int = Field(10, ge=1, le=100_000)
+    trials: Whole | None = Field(None, ge=1)
+    repeats: Whole = Field(1, ge=1)
+    seed: Whole = Field(1, ge=0)
+    chunk: Whole = Field(10, ge=1, le=100_000)
     navigate: bool = False
 
 
@@ -64,7 +69,7 @@ class Campaign(_Section):
     """A whole study; ``subjects`` are what the patterns of ``[[block]]`` have found."""
 
     campaign: CampaignSection
-    vary: dict[str, float | str | list[float | str] | Range] = {}
+    vary: dict[str, Real | str | list[Real | str] | Range] = {}
     block: list[FleetBlock] = []
     subjects: list[Subject] = []
 

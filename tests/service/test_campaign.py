@@ -83,6 +83,9 @@ def untimed(table: pa.Table) -> pa.Table:
         ("low = 0.1", "low = 0.0", "[vary] noise", "0.01"),
         ('"log"', '"cube"', "[vary] noise scale", "'linear' or 'log'"),
         ("trials = 20", "trials = 20\nrepeats = 2", "[campaign] repeats", "only a grid"),
+        ("trials = 20", "trials = true", "[campaign] trials", "got True"),
+        ("low = 0.1", "low = true", "[vary] noise low", "got True"),
+        ('"paper"', "true", "[vary] method 0", "got True"),
     ],
 )
 def test_a_spec_is_refused_by_file_key_and_remedy(tmp_path: Path, old: str, new: str, place: str, remedy: str) -> None:
