@@ -29,6 +29,8 @@ AHEAD = 2
 KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(2**30), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """A worker's trials all take the same large arrays: given back to the system after each, their pages must be zeroed
 anew, which takes the kernel a third of the time of a trial."""
+WORKER = "service.campaign.worker"
+"""What each worker imports first."""
 DEATHS = 20
 """Workers that may die of one chunk before it is given up: a kill from outside is no fault of the chunk."""
 CONNECT_S = 20
@@ -199,7 +201,8 @@ def _client(distributed: Any, workers: int | None, scheduler: str | None, scratc
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told once, by us
     with ExitStack() as stack:
-        settings = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in KEEP_MEMORY.items()}
+        settings: dict[str, Any] = {f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in KEEP_MEMORY.items()}
+        settings["distributed.worker.preload"] = [WORKER]
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, **settings}))
         if scheduler is not None:
             yield stack.enter_context(_connected(distributed, scheduler))

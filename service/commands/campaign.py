@@ -26,15 +26,20 @@ def campaign(
 ) -> None:
     """Run a Monte Carlo study, or analyse a whole fleet's recordings again; gone on with after a kill.
 
-    Exit code 0: done; 1: a trial cannot be worked out, and what was finished is kept; 2: the input was refused.
+    Exit code 0: done; 1: a trial cannot be worked out, and what was finished is kept; 2: the input was refused;
+    130: stopped by Ctrl-C, which keeps what was finished as well.
     """
     check_targets(json, out)
     from service.campaign import read_campaign, run_campaign
     from service.campaign.report import page, summary
 
     study = read_campaign(spec, trials)
-    with _Bar() as tell:
-        done = run_campaign(study, out, workers=workers, scheduler=scheduler, progress=tell)
+    try:
+        with _Bar() as tell:
+            done = run_campaign(study, out, workers=workers, scheduler=scheduler, progress=tell)
+    except KeyboardInterrupt:
+        typer.echo(f"Stopped: what was finished of {study.trials} trials is kept. Call again to go on.", err=True)
+        raise
     facts = summary(study, out)
     text = page(facts, spec.stem)
     write_text(out.with_name(out.name + ".md"), text)

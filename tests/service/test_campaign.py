@@ -327,6 +327,27 @@ def test_neither_a_killed_worker_nor_a_killed_run_changes_a_bit(tmp_path: Path) 
         run_campaign(read_campaign(spec, trials=9), out)
 
 
+@pytest.mark.long
+def test_ctrl_c_ends_all_processes_in_one_line_and_keeps_what_was_finished(tmp_path: Path) -> None:
+    spec, out = spec_at(tmp_path, GRID), tmp_path / "out.parquet"
+    parts = out.with_name("out.parquet.parts")
+    command = [sys.executable, "-m", "service.cli", "campaign", str(spec), "--out", str(out), "--workers", "2"]
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    try:
+        _until(parts, 2, running)
+        workers = _workers(running.pid)
+        os.killpg(running.pid, signal.SIGINT)  # as a terminal does
+        said, errors = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert running.returncode == 130
+    lines = [line for line in errors.decode().splitlines() if line.strip()]
+    assert lines[-1] == "Stopped: what was finished of 8 trials is kept. Call again to go on."
+    assert b"Traceback" not in said + errors
+    assert not any(psutil.pid_exists(pid) for pid in workers)
+    assert len(list(parts.glob("0*.parquet"))) >= 2
+
+
 # ------------------------------------------------------------------ a fleet again
 
 
