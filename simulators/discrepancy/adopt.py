@@ -117,7 +117,7 @@ class Searcher:
     def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
         """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
         bare = self.evidence.fit([])
-        if self.evidence.restate(bare.rss):
+        if self.evidence.restate(bare.rss) | self.evidence.stand(bare.noise):
             bare = self.evidence.fit([])
         self._correct(bare)
         adopted: list[Hypothesis] = []

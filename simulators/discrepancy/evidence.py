@@ -22,7 +22,7 @@ from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
-from simulators.discrepancy.whitening import FREE_SHARE, Basis, NoiseFit, cosine_basis, fit_noise
+from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -73,6 +73,8 @@ class Evidence:
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
+        self.sways = True
+        """Whether the mount may sway: see :meth:`stand`."""
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
@@ -149,6 +151,14 @@ class Evidence:
             changed |= bool(np.max(np.abs(after / before - 1.0)) > _RESPREAD)
             self.stated[slot] = after
         return changed
+
+    def stand(self, noise: Mapping[Slot, NoiseFit]) -> bool:
+        """Take the mount to stand still where fewer than two channels of all sway.
+
+        Return whether that changed it, so that fits made before are to be made again.
+        """
+        before, self.sways = self.sways, sum(fit.level in (SWAY, WIDE) for fit in noise.values()) > 1
+        return self.sways != before
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""
@@ -335,6 +345,7 @@ class Evidence:
                 noise[slot] = fit_noise(
                     *(self.basis[slot], self._residual2[slot], counts, self.stated[slot], self.floor[slot]),
                     eased=self.eased[slot],
+                    sways=self.sways,
                 )
         fit = self._joint(free, fixed, noise, products, changed)
         if start is not None:
@@ -377,6 +388,7 @@ class Evidence:
                 noise[slot] = fit_noise(
                     *(self.basis[slot], rss[slot], freedom, self.stated[slot], self.floor[slot]),
                     eased=self.eased[slot],
+                    sways=self.sways,
                 )
         for slot in kept:
             rss[slot] = self._rss(slot, products[slot], full)

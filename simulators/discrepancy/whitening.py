@@ -230,13 +230,15 @@ def fit_noise(
     floor: Array,
     *,
     eased: float = 1.0,
+    sways: bool = True,
     slow: bool = True,
     blocks: bool = False,
 ) -> NoiseFit:
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
-    ``eased`` is the least share of it that may hold, see :func:`ease`. Without ``slow``, nothing is tried but white
+    ``eased`` is the least share of it that may hold, see :func:`ease`. Where the mount does not ``sway``, noise of that
+    kind costs what flicker does. Without ``slow``, nothing is tried but white
     noise and rounding, or noise of the model's proportions and rounding. The mean of a record tells of a bias, which a
     random walk of one coefficient would swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
     """
@@ -252,9 +254,10 @@ def fit_noise(
         variances[1:] *= 0.1
         _climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
         power = floor + columns @ variances
-        value = _value(rss, freedom, power) - penalty[level]
+        cost = penalty[FLICKER if level == SWAY and not sways else level]
+        value = _value(rss, freedom, power) - cost
         if best is None or value > best.value:
-            best = NoiseFit(power, value, level, penalty[level])
+            best = NoiseFit(power, value, level, cost)
     assert best is not None
     if stated is not None:
         power = ease(stated, power, eased)

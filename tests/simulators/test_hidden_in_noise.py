@@ -88,6 +88,18 @@ def test_a_random_walk_is_one(seed: int) -> None:
     assert report.document["remaining"]["empirical"] == []
 
 
+@pytest.mark.parametrize("seed", [9, 10, 11])
+def test_a_random_walk_of_one_sensor_is_no_mount_that_sways_beside_what_grows_with_temperature(seed: int) -> None:
+    """A mount that swayed would do so on more than one sensor; less a smooth course a walk looks as if it swayed."""
+    rng = np.random.default_rng([58, seed])
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += 0.05 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
+
+    report = discrepancy([recording(change, 160 + seed, warming=True)], model())
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("rate_random_walk", "gyro_x")]
+
+
 def test_a_false_clock_is_not_sold_as_a_delay() -> None:
     """At 50 ppm the end of the record is 12 ms late, which a delay of half of it explains in part."""
     case = recording(None, 49)
