@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
-_RIDGE = 1e-11
+_RIDGE = 1e-14
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _MANY = 64
 _APART = 1e-3  # squared sine between two columns that are tried together
 _LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
-_NOTHING = 1e-7  # share of a column's power
+_NOTHING = 1e-15  # share of a column's power: those of turns and of their errors are 1e5 σ, and cancel
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
@@ -377,7 +377,7 @@ class Evidence:
             unit[np.diag_indices(k)] += _RIDGE
             inverse = np.linalg.inv(unit) if k else unit
             covariance = inverse / np.outer(scale, scale)
-            amplitude = covariance @ right
+            amplitude = np.linalg.solve(unit, right / scale) / scale
             full = np.concatenate([amplitude, np.ones(f)])
             for slot in moving:
                 gram, _ = products[slot]

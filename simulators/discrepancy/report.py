@@ -421,7 +421,7 @@ def _next(
     Each finding gets its own best one as well.
     """
     evidence, fit = search.evidence, search.fit
-    curves = [a for a in search.of_kind(Kind.EMPIRICAL) if any(a is other for other in unexplained.curves)]
+    curves = sorted(unexplained.curves, key=lambda a: -a.score)[:1]
     asked = [*named, *curves]
     questions = [(a.hypothesis, _asked_of(a)) for a in asked]
     answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]
@@ -431,7 +431,7 @@ def _next(
         longer = propose_longer(evidence, finding["effect"], finding["channel"], finding["evidence_nats"])
         finding["next_recording"] = by_name.get(name, [asdict(longer)])[:1]
     if curves:
-        return by_name[max(curves, key=lambda a: a.score).hypothesis.name]
+        return by_name[curves[0].hypothesis.name]
     if unexplained.terms:
         term = unexplained.terms[0]
         return [asdict(propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"])))]

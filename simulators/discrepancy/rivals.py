@@ -20,21 +20,27 @@ _LISTED = 8
 
 
 def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> list[Adopted]:
-    """Say for each of the adopted what else could stand in its place."""
-    found = []
-    for place, h in enumerate(adopted):
-        searcher.progress(0.8 + 0.15 * place / len(adopted), f"looking for rivals of {h.effect}")
+    """Say for each of the adopted names, and for the curve of most evidence, what else could stand in its place."""
+    found, alone = [], {}
+    for h in adopted:
         rest = [other for other in adopted if other is not h]
         without = searcher.fit_of(rest, fit)
         own = searcher.score(h, without, rest)
-        if own is None:
-            continue
+        if own is not None:
+            found.append(Adopted(h, own.gain, own.score))
+            alone[id(h)] = own, rest, without
+    curves = (a for a in found if a.hypothesis.kind is Kind.EMPIRICAL)
+    largest = max(curves, key=lambda a: a.score, default=None)
+    asked = [a for a in found if a.hypothesis.kind is Kind.NAMED or a is largest]
+    for place, entry in enumerate(asked):
+        h = entry.hypothesis
+        searcher.progress(0.8 + 0.15 * place / len(asked), f"looking for rivals of {h.effect}")
+        own, rest, without = alone[id(h)]
         ranked = [s for s in searcher.rank(without, rest, own.score - _SLACK) if s.hypothesis.name != h.name]
-        entry = Adopted(h, own.gain, own.score, rivals=ranked[:_LISTED])
+        entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             entry.pairs = _pairs(searcher, own, rest, without)
-        found.append(entry)
     return found
 
 

@@ -91,6 +91,15 @@ def test_a_false_clock_is_told_from_errors_of_timing_in_the_last_digits(tmp_path
     exact = np.linalg.lstsq(np.vstack(rows) / scale, np.concatenate(right), rcond=None)[0] / scale
     place = fit.ids.index(clock.columns[0])
     assert abs(fit.amplitude[place] - exact[place]) < 0.1 * math.sqrt(fit.covariance[place, place])
+    # What is left of columns a hundred times as large that nearly cancel is as if nothing had been summed in bins.
+    large = replace(fit, amplitude=100.0 * fit.amplitude)
+    for slot in evidence.slots:
+        bins = evidence.basis[slot].bounds[:-1]
+        left = np.add.reduceat(evidence.library.left(slot, large.ids, large.amplitude) ** 2, bins)
+        gram, with_residual = evidence.products(slot, large.ids)
+        summed = np.add.reduceat(evidence.library.residual[slot] ** 2, bins)
+        summed += (gram @ large.amplitude) @ large.amplitude - 2.0 * with_residual @ large.amplitude
+        assert np.max(np.abs(summed - left) / fit.noise[slot].power) < 0.01
 
 
 def test_a_level_at_rest_beyond_its_own_sigma_is_named_though_no_block_held_out_can_contradict_it() -> None:
