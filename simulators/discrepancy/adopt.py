@@ -299,25 +299,34 @@ class Searcher:
         at = np.array([one.shape["time"]]) if one.effect == "bias_step" else np.empty(0)
         return any(scene.near_turn_ends(at, _NEAR_TURN_S).any() for scene in self.library.scenes)
 
-    def rank(self, current: Fit, adopted: Sequence[Hypothesis], least: float = -math.inf) -> list[Scored]:
+    def rank(self, current: Fit, adopted: Sequence[Hypothesis], own: Scored | None = None) -> list[Scored]:
         """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted.
 
-        Those that even in quiet noise would score less than ``least``, or than the best of their kind, are left out.
+        Those that even in quiet noise would score less than the best of their kind, or far less than ``own``, are left
+        out; not those that promised as much as it did, which may have scored far more as it has left quieter noise.
         """
         look = Look(self.evidence, current, self.quiet(current))
         scored: list[Scored] = []
-        best: dict[Kind, float] = {}
+        wanted = dict.fromkeys(Kind, (-math.inf, -math.inf))  # score and promise
+        if own is not None:
+            wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, look, current) - TIE))
         for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted)):
-            wanted = max(least, best.get(hypothesis.kind, -math.inf) - TIE)
+            least, alike = wanted[hypothesis.kind]
             slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
-            if promise + max(_SLACK, slack * promise) < wanted:
+            if promise + max(_SLACK, slack * promise) < least and promise < alike:
                 continue
             refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
             one = self.score(refined, current, adopted)
             if one is not None and not self._is_rounding(one):
                 scored.append(one)
-                best[hypothesis.kind] = max(best.get(hypothesis.kind, -math.inf), one.score)
+                if one.score - TIE > least:
+                    wanted[hypothesis.kind] = one.score - TIE, promise - TIE
         return sorted(scored, key=lambda s: -s.score)
+
+    def _promise(self, hypothesis: Hypothesis, quiet: Look, current: Fit) -> float:
+        """Return the score that a hypothesis would have if the noise were quiet, or as it is."""
+        gain = max(look.gain(hypothesis) for look in (quiet, Look(self.evidence, current, current.noise)))
+        return bayes_factor(gain, len(hypothesis.columns), self.places(hypothesis))
 
     def _is_rounding(self, one: Scored) -> bool:
         """Whether a line may be one of the rounding error, no larger than noise of less than is stated leaves it."""

@@ -14,7 +14,6 @@ from simulators.discrepancy.adopt import TIE, Adopted, Scored, Searcher, Togethe
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, Look
 
-_SLACK = 10.0  # nats that refining shapes may still add to what a rival promises
 _SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
 _LISTED = 8
 
@@ -36,7 +35,7 @@ def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> 
         h = entry.hypothesis
         searcher.progress(0.8 + 0.15 * place / len(asked), f"looking for rivals of {h.effect}")
         own, rest, without = alone[id(h)]
-        ranked = [s for s in searcher.rank(without, rest, own.score - _SLACK) if s.hypothesis.name != h.name]
+        ranked = [s for s in searcher.rank(without, rest, own) if s.hypothesis.name != h.name]
         entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
