@@ -18,11 +18,12 @@ Array = NDArray[np.float64]
 _FELT = 6.0  # σ of the samples at rest by which one is shaken
 _MOST, _MOST_SIGMA = 0.99, 2.576  # of samples, and within how many σ they lie: half may all read the same step
 _PAUSE = 8  # samples between two that are shaken
+_SHARE = 0.5  # of samples that are shaken, where it shakes
 _LATEST_S = 3.0  # that the shaking may be off; what goes on for longer is something else
 _FEWEST = 50  # samples at rest that tell how large their noise is
 
 
-def spans_as_shaken(setup: Setup, time_s: Array, residual: Array) -> Setup:
+def spans_as_shaken(setup: Setup, time_s: Array, residual: Array, missing: NDArray[np.bool_]) -> Setup:
     """Return the set-up with the spans of its vibrations widened to where the accelerometers felt them.
 
     Parameters
@@ -30,14 +31,16 @@ def spans_as_shaken(setup: Setup, time_s: Array, residual: Array) -> Setup:
     setup : as stated.
     time_s : of the samples' ends (n,).
     residual : measured less predicted specific force (n, 3) [m/s²], vibrations left out of the prediction.
+    missing : which samples (n,) were never measured; what stands for them says nothing.
     """
     planned = np.zeros(len(time_s), dtype=np.bool_)
     for motion in setup.motions:
         planned |= _during(motion.start_s, motion.end_s, time_s)
-    if (~planned).sum() < _FEWEST:
+    beside = ~(planned | missing)
+    if beside.sum() < _FEWEST:
         return setup
     motions = tuple(
-        _widened(motion, time_s, residual, planned) if isinstance(motion, Vibration) else motion
+        _widened(motion, time_s, residual, beside) if isinstance(motion, Vibration) else motion
         for motion in setup.motions
     )
     return replace(setup, motions=motions)
@@ -47,16 +50,16 @@ def _during(start_s: float, end_s: float, time_s: Array) -> NDArray[np.bool_]:
     return np.asarray((time_s > start_s) & (time_s <= end_s))
 
 
-def _widened(vibration: Vibration, time_s: Array, residual: Array, planned: NDArray[np.bool_]) -> Vibration:
+def _widened(vibration: Vibration, time_s: Array, residual: Array, beside: NDArray[np.bool_]) -> Vibration:
     """Return a vibration that begins and ends where the samples about its span are no longer shaken."""
     axis = np.asarray(vibration.axis) / np.linalg.norm(vibration.axis)
     along = residual @ axis
     rows = np.flatnonzero(_during(vibration.start_s, vibration.end_s, time_s))
     if not rows.size:
         return vibration
-    before = np.flatnonzero(~planned & (time_s > time_s[rows[0]] - _LATEST_S) & (time_s < time_s[rows[0]]))[::-1]
-    after = np.flatnonzero(~planned & (time_s < time_s[rows[-1]] + _LATEST_S) & (time_s > time_s[rows[-1]]))
-    middle, sigma = _at_rest(along[~planned])
+    before = np.flatnonzero(beside & (time_s > time_s[rows[0]] - _LATEST_S) & (time_s < time_s[rows[0]]))[::-1]
+    after = np.flatnonzero(beside & (time_s < time_s[rows[-1]] + _LATEST_S) & (time_s > time_s[rows[-1]]))
+    middle, sigma = _at_rest(along[beside])
     interval_s = float(time_s[1] - time_s[0])
     start_s, end_s = vibration.start_s, vibration.end_s
     if (count := _shaken(np.abs(along[before] - middle) > _FELT * sigma)) > 0:
@@ -72,10 +75,12 @@ def _at_rest(values: Array) -> tuple[float, float]:
 
 
 def _shaken(felt: NDArray[np.bool_]) -> int:
-    """Return how many samples next to a span are still shaken: up to the last before a pause, none if there is none."""
-    last = -1
-    for place in np.flatnonzero(felt):
+    """Return how many samples next to a span are still shaken: up to a pause, half of them felt; none if it goes on."""
+    last, count = -1, 0
+    for number, place in enumerate(np.flatnonzero(felt), 1):
         if place - last > _PAUSE:
             break
         last = int(place)
-    return last + 1 if last + _PAUSE < len(felt) else 0
+        if number > _SHARE * (last + 1):
+            count = last + 1
+    return count if last + _PAUSE < len(felt) else 0

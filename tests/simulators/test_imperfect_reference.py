@@ -147,10 +147,14 @@ def test_a_span_is_widened_to_where_it_was_felt_and_no_further(late_s: float, st
     along = rng.standard_normal(20000) + 300.0 * shaken * np.sin(40.0 * time_s)
     if step:
         along = np.diff(np.rint(np.cumsum(along + step / 16.0) / step), prepend=0.0) * step
+    along[5800:5950:7] *= 40.0  # some wild samples before it are no shaking
+    missing = np.zeros(20000, dtype=np.bool_)
+    missing[5850:5900] = True
+    along[missing] = np.linspace(0.0, 300.0, 50)  # what bridges a gap is none either
     residual = np.zeros((20000, 3))
     residual[:, 1] = along
     span = Vibration(60.0, 120.0, (0.0, 2.0, 0.0), 200.0, (5.0, 7.0))
     setup = Setup(Site.at(0.6), 0.0, np.eye(3), (span,))
-    (found,) = spans_as_shaken(setup, time_s, residual).motions
+    (found,) = spans_as_shaken(setup, time_s, residual, missing).motions
     assert found.start_s == pytest.approx(60.0 + min(late_s, 0.0), abs=0.03)
     assert found.end_s == pytest.approx(120.0 + max(late_s, 0.0), abs=0.03)
