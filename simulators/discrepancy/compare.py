@@ -257,7 +257,7 @@ def following_vibrations(scene: Scene) -> Scene:
     seen, predicted, shaken = replace(scene.seen, accel_mps2=accel), scene.predicted, np.zeros_like(accel)
     if scene.shaken.any():
         predicted = _readings(scene.model, seen)
-    off, missing = (scene.measured - predicted)[:, :3], scene.data.missing[:, :3].any(axis=1)
+    off, missing = (scene.measured - predicted)[:, :3], np.asarray(np.any(scene.data.missing[:, :3], axis=1))
     setup = spans_as_shaken(scene.setup, seen.time_s, off, missing)
     shaking = vibration_mean_square(setup, seen.time_s - 0.5 * seen.interval_s)
     scene, seen = replace(scene, setup=setup), replace(seen, vibration_mps2_squared=shaking)
