@@ -30,7 +30,7 @@ from simulators.discrepancy.rivals import with_rivals
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
-from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
+from simulators.discrepancy.wiring import Mistake, find_mistakes, flip_behind, mend
 from simulators.discrepancy.words import in_words
 from simulators.effects import get_effect
 from simulators.effects.base import SampleEffect, Stage, unit_of
@@ -225,7 +225,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
         "channel": h.channel,
         "parameters": {name: value.model_dump() for name, value in values.items()},
         "confidence": _confidence(adopted),
-        "alternatives": _alternatives(adopted),
+        "alternatives": _alternatives(adopted) + _flipped(h, values, evidence.library.scenes),
         "runners_up": [
             _rival(s.hypothesis, adopted.score - s.score)
             for s in adopted.rivals
@@ -259,6 +259,17 @@ def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
                 with_name = {"effect": other.effect, "channel": other.channel}
                 found.append({**_rival(h, adopted.score - pair.score), "together_with": with_name})
     return found
+
+
+def _flipped(h: Hypothesis, values: dict[str, ParameterValue], scenes: Sequence[Scene]) -> list[dict[str, Any]]:
+    """Return that a shift may as well be a turned sign, too small to be seen before all else, where it is as large."""
+    if h.effect != "bias_shift":
+        return []
+    shift = values["shift"]
+    behind = flip_behind(scenes, h.channel, shift.value, shift.sigma or 0.0)
+    return (
+        [] if behind is None or behind > TIE else [{"effect": "sign_flip", "channel": h.channel, "behind_nats": behind}]
+    )
 
 
 def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:

@@ -7,6 +7,7 @@ is the stated one times the ratio of two units is in the other unit, however lit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,7 @@ _SHARE = 0.05  # of χ² that may be left
 _MISFIT = 0.1  # of the signal that may be left: other effects may be there too
 _COINCIDENCE = 0.02  # how close a ratio must come to that of two units
 _STEP_COINCIDENCE = 0.001  # ... one of two steps
+_STEADY = 0.02  # share of itself by which an input that stands still may move
 _ROUND = (2.0, 10.0, 1e3)  # ratios that steps have for other reasons too
 
 
@@ -91,6 +93,17 @@ def _whole_triads(found: list[Mistake]) -> list[Mistake]:
     return found
 
 
+def flip_behind(scenes: Sequence[Scene], channel: str, shift: float, sigma: float) -> float | None:
+    """Return by how many nats a turned sign explains a shift of bias [y] ± ``sigma`` less well than the shift itself.
+
+    None where the input did not stand still: a turned sign is no constant there.
+    """
+    inputs = np.concatenate([scene.predicted[:, CHANNELS.index(channel)] for scene in scenes])
+    if np.ptp(inputs) > _STEADY * np.max(np.abs(inputs)) or sigma <= 0.0:
+        return None
+    return float(0.5 * ((shift + 2.0 * inputs.mean()) / sigma) ** 2)
+
+
 def mend(rates: Array, mistakes: list[Mistake]) -> Array:
     """Return rates (n, 6) with the mistakes undone."""
     mended = rates.copy()
@@ -115,7 +128,7 @@ def _best(scenes: list[Scene], first: int) -> tuple[list[int], list[float], list
     measured = np.vstack([m for m, _, _ in blocks])
     predicted = np.vstack([p for _, p, _ in blocks])
     sigma = np.vstack([np.broadcast_to(s, m.shape) for m, _, s in blocks])
-    steady = bool(np.max(np.ptp(predicted, axis=0)) < 0.02 * np.max(np.abs(predicted)))
+    steady = bool(np.max(np.ptp(predicted, axis=0)) < _STEADY * np.max(np.abs(predicted)))
     ratios = [1.0] + [f for ratio in FACTORS.values() for f in (ratio, 1.0 / ratio)]
     sources, factors, explained = [], [], []
     for c in range(3):

@@ -81,3 +81,21 @@ def test_two_steps_at_the_ends_of_a_turn_are_what_the_turn_does(start_s: float, 
     report = discrepancy([recording(change, 95)], model())
     assert [one["effect"] for one in report.findings] == names, report.document["text"]
     assert report.verdict == ("named" if names else "unknown")
+
+
+@pytest.mark.parametrize("turned", [-1.0, 0.4])
+def test_a_shift_at_rest_may_be_a_sign_turned_where_it_is_twice_the_input(turned: float) -> None:
+    """Earth's rate is 6 σ of this gyro's mean: too little for the signs to be checked before all else."""
+    rng = np.random.default_rng(19)
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 4] *= turned
+        readings[:, 4] += 30.0 * WHITE["gyro"] * np.sqrt(RATE_HZ) * rng.standard_normal(len(readings))
+
+    believed = model()
+    gyro_y = believed.noise.gyro_y.model_copy(update={"white": 30.0 * WHITE["gyro"]})
+    believed = believed.model_copy(update={"noise": believed.noise.model_copy(update={"gyro_y": gyro_y})})
+    (found,) = discrepancy([recording(change, 97, moving=False)], believed).findings
+    assert (found["effect"], found["channel"]) == ("bias_shift", "gyro_y")
+    flips = [one for one in found["alternatives"] if one["effect"] == "sign_flip"]
+    assert [one["channel"] for one in flips] == (["gyro_y"] if turned < 0.0 else [])
