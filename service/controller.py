@@ -29,7 +29,7 @@ from service.lease import Lease, LeaseDesk, LeaseHeld
 from service.logs import correlate
 from service.model_choice import ModelChoice
 from service.motion_watch import MotionWatch
-from service.native_memory import tidy
+from service.native_memory import trim
 from service.orders import Reply
 from service.run_folder import RunFolder
 from service.security.tokens import Tokens
@@ -450,7 +450,7 @@ class Controller:
             if record.target in (Name.READY, Name.FAULT, Name.ABORTED):
                 if self.line is not None:
                     self._worker.submit(self.line.capture_end)
-                self._worker.submit(tidy)  # the run has left its holes, and nothing is measured now
+                self._worker.submit(trim)  # the run has left its holes, and nothing is measured now
         facts = self._published.facts
         told = (facts["link"], facts["fit"])
         if len(self.hub) and (told != self._told or now_s - self._progress_s > PROGRESS_EVERY_S):

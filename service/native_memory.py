@@ -5,14 +5,12 @@ The C library raises the size from which it asks the kernel for memory by itself
 memory goes back to the kernel with the array. Arrow's own allocator keeps what it once had.
 
 What is smaller still shares the heap, and the C library by itself gives back only the heap's end: one thing up there
-that lives on keeps all the free pages below it resident. :func:`trim` gives those back. Rings of Python objects that
-nobody reaches any more hold theirs until a full collection, which comes by itself the more seldom the more there is.
+that lives on keeps all the free pages below it resident. :func:`trim` gives those back.
 """
 
 from __future__ import annotations
 
 import ctypes
-import gc
 
 import pyarrow as pa
 
@@ -47,13 +45,3 @@ def trim() -> None:
     malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if malloc_trim is not None:
         malloc_trim(0)
-
-
-def tidy() -> None:
-    """Collect the garbage of what was done last and :func:`trim`.
-
-    The collection holds up all threads, for as long as it takes to go through what has been made since
-    :func:`gc.freeze`: some milliseconds in a service.
-    """
-    gc.collect()
-    trim()
