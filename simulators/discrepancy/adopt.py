@@ -64,7 +64,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Together:
-    """Two names of one sensor that explain something only together: score as of one, shapes refined."""
+    """Two names of one sensor, shapes refined, and their Bayes factor [nats] less the penalty of looking for two."""
 
     hypotheses: tuple[Hypothesis, Hypothesis]
     score: float
@@ -80,7 +80,7 @@ class Adopted:
     ties: list[Scored] = field(default_factory=list)
     rivals: list[Scored] = field(default_factory=list)
     pairs: list[Together] = field(default_factory=list)
-    """Of two names each, that tie with it."""
+    """Two names each that tie with it, best first."""
 
 
 @dataclass(frozen=True)
@@ -299,6 +299,7 @@ class Searcher:
         return None
 
     def _ends_a_turn(self, one: Hypothesis) -> bool:
+        """Whether it is a step where a turn begins or ends."""
         at = np.array([one.shape["time"]]) if one.effect == "bias_step" else np.empty(0)
         return any(scene.near_turn_ends(at, _NEAR_TURN_S).any() for scene in self.library.scenes)
 
@@ -379,11 +380,13 @@ class Searcher:
         return {slot: self.evidence.quiet(slot, rss) for slot, rss in current.rss.items()}
 
     def places(self, hypothesis: Hypothesis) -> float:
+        """Return the number of places that a hypothesis was one of: names, times its shapes."""
         if hypothesis.kind is not Kind.NAMED:
             return self.names
         return self.names * hypothesis.places
 
     def score(self, hypothesis: Hypothesis, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
+        """Return what a hypothesis gains beside those adopted, noise refitted; none where it cannot be fitted."""
         ids = [i for h in (*adopted, hypothesis) for i in h.columns]
         fixed = [i for h in (*adopted, hypothesis) if h.unit_amplitude for i in h.columns]
         fit = self.evidence.fit(ids, current, fixed)
@@ -493,6 +496,7 @@ class Searcher:
     # second thoughts -----------------------------------------------------------------------------------------------
 
     def fit_of(self, hypotheses: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
+        """Return the joint fit of hypotheses and noise, from a fit nearby."""
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 

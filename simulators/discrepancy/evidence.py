@@ -153,11 +153,12 @@ class Evidence:
         return changed
 
     def stand(self, noise: Mapping[Slot, NoiseFit]) -> bool:
-        """Take the mount to stand still where fewer than two channels of all sway.
+        """Take the mount to stand still where fewer than two channels sway, in whichever recording.
 
         Return whether that changed it, so that fits made before are to be made again.
         """
-        before, self.sways = self.sways, sum(fit.level in (SWAY, WIDE) for fit in noise.values()) > 1
+        swaying = {channel for (_, channel), fit in noise.items() if fit.level in (SWAY, WIDE)}
+        before, self.sways = self.sways, len(swaying) > 1
         return self.sways != before
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:

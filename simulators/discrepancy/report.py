@@ -267,9 +267,9 @@ def _flipped(h: Hypothesis, values: dict[str, ParameterValue], scenes: Sequence[
         return []
     shift = values["shift"]
     behind = flip_behind(scenes, h.channel, shift.value, shift.sigma or 0.0)
-    return (
-        [] if behind is None or behind > TIE else [{"effect": "sign_flip", "channel": h.channel, "behind_nats": behind}]
-    )
+    if behind is None or behind > TIE:
+        return []
+    return [{"effect": "sign_flip", "channel": h.channel, "behind_nats": behind}]
 
 
 def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:

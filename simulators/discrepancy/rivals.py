@@ -7,12 +7,11 @@ one. Two such names tie with the one found as a third name would.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from simulators.discrepancy.adopt import TIE, Adopted, Scored, Searcher, Together
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
-from simulators.discrepancy.evidence import Fit, Look
+from simulators.discrepancy.evidence import Fit, Look, bayes_factor
 
 _SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
 _LISTED = 8
@@ -20,7 +19,8 @@ _LISTED = 8
 
 def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> list[Adopted]:
     """Say for each of the adopted names, and for the curve of most evidence, what else could stand in its place."""
-    found, alone = [], {}
+    found: list[Adopted] = []
+    alone: dict[int, tuple[Scored, Sequence[Hypothesis], Fit]] = {}
     for h in adopted:
         rest = [other for other in adopted if other is not h]
         without = searcher.fit_of(rest, fit)
@@ -52,8 +52,7 @@ def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without:
     look = Look(searcher.evidence, without, own.fit.noise)
     pool = [other for other in searcher.unlike({o.name for o in rest}) if searcher.channels(other) == channels]
     pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
-    gain = look.gain(h)
-    mine = own.score + gain - own.gain - len(h.columns) * 0.5 * math.log(max(gain, 1.0) / max(own.gain, 1.0))
+    mine = bayes_factor(look.gain(h), len(h.columns), searcher.places(h))
     tied = []
     for pair in searcher.pairs(pool, look, mine - TIE - _SLACK_OF_TWO):
         score, both, _ = searcher.joint(pair, rest, without)

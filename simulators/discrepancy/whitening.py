@@ -237,10 +237,10 @@ def fit_noise(
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
     ``stated`` (b,) is the power the model states, none where its size is free; ``floor`` (b,) is never undercut.
-    ``eased`` is the least share of it that may hold, see :func:`ease`. Where the mount does not ``sway``, noise of that
-    kind costs what flicker does. Without ``slow``, nothing is tried but white
-    noise and rounding, or noise of the model's proportions and rounding. The mean of a record tells of a bias, which a
-    random walk of one coefficient would swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
+    ``eased`` is the least share of it that may hold, see :func:`ease`. Unless the mount ``sways``, noise of that kind
+    costs what flicker does. Without ``slow``, nothing is tried but white noise and rounding, or noise of the model's
+    proportions and rounding. The mean of a record tells of a bias, which a random walk of one coefficient would
+    swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
     """
     shape = basis.shape if stated is None else None
     penalty = PENALTY if stated is not None else PENALTY_FREE if shape is None else PENALTY_SHAPED

@@ -8,11 +8,13 @@ from dataclasses import replace
 import closed_form
 import numpy as np
 import pytest
-from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
+from closed_form import DURATION_S, RATE_HZ, WHITE, Change, Truth, model, recording
 
 from drivers.recording import Recording, RecordingMeta
 from inertial.documents import BlockModel, EffectEntry
+from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
+from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
 from simulators.effects import get_effect
@@ -76,14 +78,19 @@ def test_a_sawtooth_is_lines_that_belong_together_and_no_name() -> None:
     assert report.findings == []
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_random_walk_is_one(seed: int) -> None:
-    rng = np.random.default_rng([44, seed])
+def walk(column: int, sigmas: float, seed: list[int]) -> Change:
+    """Return a random walk of a gyro by so many σ of a sample each sample."""
+    rng = np.random.default_rng(seed)
 
     def change(true: Truth, readings: np.ndarray) -> None:
-        readings[:, 3] += 0.1 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
+        readings[:, column] += sigmas * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
 
-    report = discrepancy([recording(change, 45 + seed)], model())
+    return change
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_walk_is_one(seed: int) -> None:
+    report = discrepancy([recording(walk(3, 0.1, [44, seed]), 45 + seed)], model())
     assert {(one["effect"], one["channel"]) for one in report.findings} == {("rate_random_walk", "gyro_x")}
     assert report.document["remaining"]["empirical"] == []
 
@@ -91,13 +98,15 @@ def test_a_random_walk_is_one(seed: int) -> None:
 @pytest.mark.parametrize("seed", [9, 10, 11])
 def test_a_random_walk_of_one_sensor_is_no_mount_that_sways_beside_what_grows_with_temperature(seed: int) -> None:
     """A mount that swayed would do so on more than one sensor; less a smooth course a walk looks as if it swayed."""
-    rng = np.random.default_rng([58, seed])
-
-    def change(true: Truth, readings: np.ndarray) -> None:
-        readings[:, 3] += 0.05 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
-
-    report = discrepancy([recording(change, 160 + seed, warming=True)], model())
+    report = discrepancy([recording(walk(3, 0.05, [58, seed]), 160 + seed, warming=True)], model())
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("rate_random_walk", "gyro_x")]
+
+
+def test_one_sensor_that_walks_in_two_recordings_is_no_mount_that_sways() -> None:
+    cases = [recording(walk(3, 0.1, [44, seed]), 45 + seed) for seed in range(2)]
+    evidence = Evidence(Library([compare(case, model()) for case in cases], only=set()))
+    assert evidence.stand(evidence.fit([]).noise)
+    assert not evidence.sways
 
 
 def test_a_false_clock_is_not_sold_as_a_delay() -> None:
@@ -239,12 +248,7 @@ def test_what_the_model_is_unsure_of_is_no_finding() -> None:
 @pytest.mark.parametrize("seed", [3, 11, 12])
 def test_where_a_small_walk_has_wandered_to_is_no_shift(seed: int) -> None:
     """At rest the mean of a random walk is off by what its other coefficients foretell, and so is its course."""
-    rng = np.random.default_rng([57, seed])
-
-    def change(true: Truth, readings: np.ndarray) -> None:
-        readings[:, 5] += 0.03 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
-
-    report = discrepancy([recording(change, 60 + seed, moving=False)], model())
+    report = discrepancy([recording(walk(5, 0.03, [57, seed]), 60 + seed, moving=False)], model())
     assert {(one["effect"], one["channel"]) for one in report.findings} == {("rate_random_walk", "gyro_z")}
 
 
