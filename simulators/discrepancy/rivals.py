@@ -20,7 +20,7 @@ _LISTED = 8
 def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> list[Adopted]:
     """Say for each of the adopted names, and for the curve of most evidence, what else could stand in its place."""
     found: list[Adopted] = []
-    alone: dict[int, tuple[Scored, Sequence[Hypothesis], Fit]] = {}
+    alone: dict[int, tuple[Scored, list[Hypothesis], Fit]] = {}
     for h in adopted:
         rest = [other for other in adopted if other is not h]
         without = searcher.fit_of(rest, fit)
