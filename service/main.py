@@ -15,7 +15,7 @@ from service.api.gate import is_loopback
 from service.config import ConfigError, HttpSettings, Settings
 from service.controller import Controller
 from service.logs import configure_logs
-from service.native_memory import give_back, trim
+from service.native_memory import fill, give_back, trim
 from service.security.tokens import Tokens
 from service.store import StoreError
 from service.watchdog import Notifier
@@ -36,6 +36,7 @@ def run_service(settings: Settings) -> None:
     """
     configure_logs(settings.log)
     give_back()
+    fill()
     check_files(settings)
     notifier = Notifier()
     listening = _listen(settings.http)

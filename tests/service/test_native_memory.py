@@ -12,7 +12,7 @@ PROGRAM = """
 import sys
 from threading import Barrier, Lock, Thread
 import numpy as np
-from service.native_memory import give_back, trim
+from service.native_memory import fill, give_back, trim
 
 def resident_mb():
     # Without pages of files, which the kernel takes away when it likes.
@@ -43,8 +43,15 @@ def threads_come_and_go(lasting):
     for thread in threads:
         thread.join()
 
+def small_arrays_come_and_go(lasting):
+    for size in SIZES:
+        arrays = [np.empty(size, np.uint8) for _ in range(8)]
+
+SIZES = np.random.default_rng(1).integers(0, 1024, 20_000)
 come_and_go, how = globals()[sys.argv[1].replace(" ", "_") + "_come_and_go"], sys.argv[2]
 told = give_back() if how != "as it comes" else True
+if how == "filled":
+    fill()
 lasting, before = [], resident_mb()
 for _ in range(3):
     come_and_go(lasting)
@@ -79,3 +86,8 @@ def test_free_pages_inside_the_heap_go_back_when_it_is_trimmed() -> None:
 def test_threads_use_what_others_left() -> None:
     assert left_mb("threads", "as it comes") > 8 * 20.0  # each of eight keeps what it once needed
     assert left_mb("threads", "given back") < 4 * 20.0
+
+
+def test_numpy_keeps_no_more_small_arrays_than_it_was_filled_with() -> None:
+    assert left_mb("small arrays", "given back") > 3.0
+    assert left_mb("small arrays", "filled") < 1.0
