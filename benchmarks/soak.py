@@ -292,7 +292,7 @@ class Soak:
         self._read_run(status["run_id"])
         self._trouble = Trouble([fault.name for fault in chosen], now_s, status["state"], status["run_id"])
         self.troubles.append(self._trouble)
-        for fault in chosen:
+        for fault in sorted(chosen, key=lambda fault: fault.ends):  # clients come while there is a service
             self._later += [(now_s + after_s, fault, undo) for after_s, undo in fault.begin(self.plant, self.random)]
 
     def _undo(self) -> None:
