@@ -6,7 +6,6 @@ columns and its residual. So a noise model can be changed, or a candidate tried,
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from inertial.documents import CHANNELS, ChannelNoise
 from inertial.rounding import power_scatter
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Hypothesis, Library, Slot
+from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
@@ -30,10 +30,8 @@ T = TypeVar("T")
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 _RIDGE = 1e-14
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
-_MANY = 64
 _APART = 1e-3  # squared sine between two columns that are tried together
 _LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
-_NOTHING = 1e-15  # share of a column's power: those of turns and of their errors are 1e5 σ, and cancel
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
@@ -80,18 +78,12 @@ class Evidence:
         self._scatter: dict[Slot, float] = {}
         self._done_for: Fit | None = None
         self._done: dict[Slot, object] = {}
-        self._local: dict[Slot, dict[int, int]] = {}
-        self._gram: dict[Slot, Array] = {}
-        self._with_residual: dict[Slot, Array] = {}
-        self._residual2: dict[Slot, Array] = {}
-        self._extra: dict[tuple[Slot, int, int], Array] = {}
-        self._late: dict[tuple[Slot, int], Array] = {}
+        self.inner: dict[Slot, InnerProducts] = {}
+        self._weighed: dict[Slot, tuple[Products, NoiseFit, Array, Array]] = {}
         for slot in library.residual:
             self._gather(slot)
         self.prior = {i: sigma for i, sigma in library.nuisance if self._felt(i, sigma)}
         self._always = tuple(self.prior)
-        self._steady: dict[Slot, tuple[Array, Array]] = {}
-        self._steady = {slot: self.products(slot, self._always) for slot in self.slots}
         self._stacks: dict[Slot, tuple[tuple[int, ...], Array]] = {}
         self._steps: dict[Slot, Steps] = {}
 
@@ -210,77 +202,28 @@ class Evidence:
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
             basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))
         self.basis[slot] = basis
-        bounds = basis.bounds
-        parts = {i: column.parts[slot] for i, column in enumerate(self.library.columns) if slot in column.parts}
-        reach = {i: _reach(part, bounds) for i, part in parts.items()}
-        ids = sorted(parts, key=lambda i: -reach[i])  # the widest bands first
-        self._local[slot] = {i: place for place, i in enumerate(ids)}
-        matrix = np.empty((len(residual), len(ids) + 1))
-        matrix[:, 0] = residual
-        for place, i in enumerate(ids):
-            matrix[:, place + 1] = parts[i]
-        gram = np.zeros((len(basis.counts), len(ids) + 1, len(ids) + 1))
-        reaches = np.array([len(basis.counts)] + [reach[i] for i in ids])
-        for b, (first, end) in enumerate(itertools.pairwise(bounds)):
-            count = int(np.sum(reaches > b))
-            rows = matrix[first:end, :count]
-            # Far from the few coefficients that tell slow effects apart. But errors in the timing of turns are known a
-            # ten-thousandth as well beforehand as they show, so that a delay is told from them in the last digits.
-            if end - first >= _MANY and not scene.turns():
-                rows = rows.astype(np.float32)
-            gram[b, :count, :count] = rows.T @ rows
-        self._gram[slot] = np.ascontiguousarray(gram[:, 1:, 1:])
-        self._with_residual[slot] = np.ascontiguousarray(gram[:, 1:, 0])
-        self._residual2[slot] = gram[:, 0, 0]
+        self.inner[slot] = InnerProducts(self.library, slot, basis.bounds)
 
     def _felt(self, column: int, sigma: float) -> bool:
         """Whether an uncertainty of the reference is more than a tenth of σ of these data, taken all together."""
         felt = 0.0
         for slot, part in self.library.columns[column].parts.items():
             basis, stated = self.basis[slot], self.stated[slot]
-            rss = self._residual2[slot]
+            rss = self.inner[slot].residual2
             power = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False).power
             if stated is not None:
                 power = np.minimum(power, stated)
             felt += float(np.sum(np.add.reduceat(part**2, basis.bounds[:-1]) / power))
         return sigma**2 * felt > _FELT**2
 
-    def products(self, slot: Slot, ids: Sequence[int]) -> tuple[Array, Array]:
-        """Return Gram (bins, k, k) and products with the residual (bins, k) of columns in one slot."""
-        bins, count = len(self.basis[slot].counts), len(ids)
-        local, first = self._local[slot], 0
-        gram, with_residual = np.zeros((bins, count, count)), np.zeros((bins, count))
-        if slot in self._steady and tuple(ids[: len(self._always)]) == self._always:
-            first = len(self._always)
-            gram[:, :first, :first], with_residual[:, :first] = self._steady[slot]
-        known = [place for place, i in enumerate(ids) if i in local]
-        where = np.array([local[ids[place]] for place in known], dtype=np.int64)
-        for place in range(first, count):
-            i = ids[place]
-            if i in local:
-                row = self._gram[slot][:, local[i]][:, where]
-                gram[:, place, known] = gram[:, known, place] = row
-                with_residual[:, place] = self._with_residual[slot][:, local[i]]
-        for place in range(first, count):
-            i = ids[place]
-            if i < self.base:
-                continue
-            with_residual[:, place] = self.product(slot, i, -1)
-            for other, j in enumerate(ids):
-                gram[:, place, other] = gram[:, other, place] = self.product(slot, i, j)
-        return gram, with_residual
-
-    def product(self, slot: Slot, i: int, j: int) -> Array:
-        """Return binned products of a late column with another, or with the residual (-1)."""
-        key = (slot, max(i, j), min(i, j))
-        if key not in self._extra:
-            one = self.library.columns[i].parts.get(slot)
-            two = self.library.residual[slot] if j < 0 else self.library.columns[j].parts.get(slot)
-            bounds = self.basis[slot].bounds[:-1]
-            self._extra[key] = (
-                np.zeros(len(bounds)) if one is None or two is None else np.add.reduceat(one * two, bounds)
-            )
-        return self._extra[key]
+    def normal(self, ids: Sequence[int], power: Mapping[Slot, Array]) -> tuple[Array, Array]:
+        """Return the normal equations of columns, less their priors: matrix (k, k) and right side (k,)."""
+        matrix, right = np.zeros((len(ids), len(ids))), np.zeros(len(ids))
+        for slot in self.slots:
+            products = self.inner[slot].of(ids)
+            matrix[np.ix_(products.where, products.where)] += np.tensordot(1.0 / power[slot], products.gram, 1)
+            right[products.where] += (1.0 / power[slot]) @ products.with_residual
+        return matrix, right
 
     def stack(self, slot: Slot) -> tuple[tuple[int, ...], Array]:
         """Return which of the columns always in the fit touch a slot, and their coefficients (n, k), side by side."""
@@ -290,31 +233,12 @@ class Evidence:
             self._stacks[slot] = ids, np.column_stack(parts) if parts else np.zeros((self.basis[slot].n, 0))
         return self._stacks[slot]
 
-    def late_products(self, slot: Slot, i: int) -> Array:
-        """Return binned products (bins, m) of a late column with a slot's first columns, in their local order."""
-        key = (slot, i)
-        if key not in self._late:
-            part, bounds = self.library.columns[i].parts[slot], self.basis[slot].bounds[:-1]
-            firsts = np.column_stack([self.library.columns[j].parts[slot] for j in self._local[slot]])
-            self._late[key] = np.add.reduceat(firsts * part[:, None], bounds, axis=0)
-        return self._late[key]
-
-    def local(self, slot: Slot) -> dict[int, int]:
-        """Return the places of the library's first columns within a slot."""
-        return self._local[slot]
-
-    def weighted(self, slot: Slot, weight: Array) -> tuple[Array, Array]:
-        """Return Gram and products with the residual of a slot's first columns, summed over bins with a weight."""
-        return np.tensordot(weight, self._gram[slot], 1), weight @ self._with_residual[slot]
-
     def information(self, power: Mapping[Slot, Array]) -> Array:
         """Return the Fisher information (k, k) of the library's first columns beyond what is always in the fit."""
         whole = np.zeros((self.base, self.base))
         for slot in self.slots:
-            ids = np.array(list(self._local[slot]), dtype=np.int64)
-            where = np.array(list(self._local[slot].values()), dtype=np.int64)
-            gram = np.tensordot(1.0 / power[slot], self._gram[slot], 1)
-            whole[np.ix_(ids, ids)] += gram[np.ix_(where, where)]
+            ids = np.array(list(self.inner[slot].place), dtype=np.int64)
+            whole[np.ix_(ids, ids)] += self.inner[slot].weighted(1.0 / power[slot])[0]
         always = list(self._always)
         if not always:
             return whole
@@ -339,12 +263,12 @@ class Evidence:
         gone = [] if start is None else [i for i in start.ids if i not in everything]
         changed |= self.touched(gone)
         noise = {} if start is None else dict(start.noise)
-        products = {slot: self.products(slot, everything) for slot in self.slots}
+        products = {slot: self.inner[slot].of(everything) for slot in self.slots}
         for slot in self.slots:
             if slot not in noise:
                 counts = self.basis[slot].counts
                 noise[slot] = fit_noise(
-                    *(self.basis[slot], self._residual2[slot], counts, self.stated[slot], self.floor[slot]),
+                    *(self.basis[slot], self.inner[slot].residual2, counts, self.stated[slot], self.floor[slot]),
                     eased=self.eased[slot],
                     sways=self.sways,
                 )
@@ -360,7 +284,7 @@ class Evidence:
         free: tuple[int, ...],
         fixed: Sequence[int],
         noise: dict[Slot, NoiseFit],
-        products: dict[Slot, tuple[Array, Array]],
+        products: dict[Slot, Products],
         changed: set[Slot],
     ) -> Fit:
         """Fit amplitudes and, of the slots changed, noise, in turns."""
@@ -369,10 +293,16 @@ class Evidence:
         rss: dict[Slot, Array] = {}
         kept = [slot for slot in self.slots if slot not in changed]
         moving = [slot for slot in self.slots if slot in changed]
-        steady = np.diag([1.0 / self.prior[i] ** 2 if i in self.prior else 0.0 for i in free])
-        steady, steady_right = _normal(steady, np.zeros(k), [products[slot] for slot in kept], [noise[s] for s in kept])
+        steady, steady_right = np.zeros((k + f, k + f)), np.zeros(k + f)
+        for place, i in enumerate(free):
+            steady[place, place] = 1.0 / self.prior[i] ** 2 if i in self.prior else 0.0
+        for slot in kept:
+            self._weigh(slot, products[slot], noise[slot], steady, steady_right)
         for _ in range(_ROUNDS):
-            matrix, right = _normal(steady, steady_right, [products[s] for s in moving], [noise[s] for s in moving])
+            whole, right = steady.copy(), steady_right.copy()
+            for slot in moving:
+                self._weigh(slot, products[slot], noise[slot], whole, right)
+            matrix, right = whole[:k, :k], right[:k] - whole[:k, k:].sum(axis=1)
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             unit = matrix / np.outer(scale, scale)
             unit[np.diag_indices(k)] += _RIDGE
@@ -381,9 +311,8 @@ class Evidence:
             amplitude = np.linalg.solve(unit, right / scale) / scale
             full = np.concatenate([amplitude, np.ones(f)])
             for slot in moving:
-                gram, _ = products[slot]
                 rss[slot] = self._rss(slot, products[slot], full)
-                used = np.einsum("bij,ij->b", gram[:, :k, :k], covariance) / noise[slot].power
+                used = _known(products[slot], covariance) / noise[slot].power
                 counts = self.basis[slot].counts
                 freedom = np.maximum(counts - used, 0.02 * counts)
                 noise[slot] = fit_noise(
@@ -397,10 +326,20 @@ class Evidence:
         value -= 0.5 * sum((a / self.prior[i]) ** 2 for i, a in zip(free, amplitude, strict=True) if i in self.prior)
         return Fit((*free, *fixed), full, covariance, float(value), noise, rss)
 
-    def _rss(self, slot: Slot, products: tuple[Array, Array], amplitude: Array) -> Array:
-        gram, with_residual = products
-        left = self._residual2[slot] - 2.0 * with_residual @ amplitude + (gram @ amplitude) @ amplitude
-        return np.asarray(np.maximum(left, 1e-12 * self._residual2[slot]))
+    def _weigh(self, slot: Slot, products: Products, noise: NoiseFit, matrix: Array, right: Array) -> None:
+        """Add one slot's products to the normal equations, weighted by its noise."""
+        known = self._weighed.get(slot)
+        if known is None or known[0].gram is not products.gram or known[1] is not noise:
+            weight = 1.0 / noise.power
+            known = products, noise, np.tensordot(weight, products.gram, 1), weight @ products.with_residual
+            self._weighed[slot] = known
+        matrix[np.ix_(products.where, products.where)] += known[2]
+        right[products.where] += known[3]
+
+    def _rss(self, slot: Slot, products: Products, amplitude: Array) -> Array:
+        inner, size = self.inner[slot], amplitude[products.where]
+        left = inner.residual2 - 2.0 * products.with_residual @ size + (products.gram @ size) @ size
+        return np.asarray(np.maximum(left, 1e-12 * inner.residual2))
 
     def noise_value(self, slot: Slot, noise: NoiseFit, left: Array) -> float:
         """Return the log-likelihood [nats] of coefficients (n,) left in a slot, less the penalty of its noise."""
@@ -431,24 +370,11 @@ def _torn(gaps: Gaps, step: float, basis: Basis) -> float:
     return variance / basis.n / basis.interval_s**2
 
 
-def _reach(part: Array, bounds: NDArray[np.int64]) -> int:
-    """Return in how many bins a column has any power to speak of; beyond them it is not multiplied."""
-    power = np.add.reduceat(part**2, bounds[:-1])
-    left = np.cumsum(power[::-1])[::-1]
-    return int(np.sum(left > _NOTHING * left[0]))
-
-
-def _normal(
-    matrix: Array, right: Array, products: Sequence[tuple[Array, Array]], noise: Sequence[NoiseFit]
-) -> tuple[Array, Array]:
-    """Add slots' weighted products to the normal equations of the free columns, which come first."""
-    k = len(right)
-    for (gram, with_residual), fitted in zip(products, noise, strict=True):
-        weight = 1.0 / fitted.power
-        whole = np.tensordot(weight, gram, 1)
-        matrix = matrix + whole[:k, :k]
-        right = right + weight @ with_residual[:, :k] - whole[:k, k:].sum(axis=1)
-    return matrix, right
+def _known(products: Products, covariance: Array) -> Array:
+    """Return how much of each bin (bins,) the columns whose amplitudes are found (k of them, the first) take up."""
+    free = int(np.searchsorted(products.where, len(covariance)))
+    where = products.where[:free]
+    return np.asarray(np.einsum("bij,ij->b", products.gram[:, :free, :free], covariance[np.ix_(where, where)]))
 
 
 class Look:
@@ -458,12 +384,8 @@ class Look:
         self.evidence, self.active = evidence, list(current.ids)
         self._weight = {slot: 1.0 / noise[slot].power for slot in evidence.slots}
         k = len(self.active)
-        matrix = np.diag([1.0 / evidence.prior[i] ** 2 if i in evidence.prior else 0.0 for i in self.active])
-        right = np.zeros(k)
-        for slot in evidence.slots:
-            gram, with_residual = evidence.products(slot, self.active)
-            matrix += np.tensordot(self._weight[slot], gram, 1)
-            right += self._weight[slot] @ with_residual
+        matrix, right = evidence.normal(self.active, {slot: fitted.power for slot, fitted in noise.items()})
+        matrix += np.diag([1.0 / evidence.prior[i] ** 2 if i in evidence.prior else 0.0 for i in self.active])
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         unit = matrix / np.outer(scale, scale)
         unit[np.diag_indices(k)] += _RIDGE
@@ -543,9 +465,9 @@ class Look:
         evidence, base = self.evidence, self.evidence.base
         whole, score, cross = np.zeros(base), np.zeros(base), np.zeros((base, len(self.active)))
         for slot in evidence.slots:
-            local = evidence.local(slot)
+            local = evidence.inner[slot].place
             ids = np.fromiter(local, dtype=np.int64)
-            gram, with_residual = evidence.weighted(slot, self._weight[slot])
+            gram, with_residual = evidence.inner[slot].weighted(self._weight[slot])
             self._grams[slot] = gram
             whole[ids] += np.diag(gram)
             score[ids] += with_residual
@@ -553,8 +475,14 @@ class Look:
                 if i in local:
                     cross[ids, place] += gram[:, local[i]]
                 elif slot in evidence.library.columns[i].parts:
-                    cross[ids, place] += self._weight[slot] @ evidence.late_products(slot, i)
+                    cross[ids, place] += evidence.inner[slot].across(i, self._spread(slot))
         return whole, score, cross
+
+    def _spread(self, slot: Slot) -> Array:
+        """Return a slot's weight by coefficient (n,)."""
+        if slot not in self._each:
+            self._each[slot] = self.evidence.basis[slot].each(self._weight[slot])
+        return self._each[slot]
 
     def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
         k, evidence = len(ids), self.evidence
@@ -562,7 +490,7 @@ class Look:
         if all(i < evidence.base for i in ids):
             own = np.zeros((k, k))
             for slot in evidence.touched(ids):
-                local = evidence.local(slot)
+                local = evidence.inner[slot].place
                 mine = [place for place, i in enumerate(ids) if i in local]
                 where = [local[ids[place]] for place in mine]
                 own[np.ix_(mine, mine)] += self._grams[slot][np.ix_(where, where)]
@@ -579,9 +507,7 @@ class Look:
         for place, i in enumerate(ids):
             if slot in columns[i].parts:
                 mine[:, place] = columns[i].parts[slot]
-        if slot not in self._each:
-            self._each[slot] = self.evidence.basis[slot].each(self._weight[slot])
-        weighted = mine * self._each[slot][:, None]
+        weighted = mine * self._spread(slot)[:, None]
         own += mine.T @ weighted
         score += weighted.T @ self.evidence.library.residual[slot]
         known, stack = self.evidence.stack(slot)

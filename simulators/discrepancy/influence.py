@@ -26,7 +26,7 @@ def gains_but_one(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> tuple
     Waugh 1933), each sample's part in the gain can be seen and left out (Cook 1977).
     """
     ids, slots, library = fit.ids, sorted(evidence.touched(hypothesis.columns)), evidence.library
-    gram = sum(np.tensordot(1.0 / fit.noise[s].power, evidence.products(s, ids)[0], 1) for s in evidence.slots)
+    gram, _ = evidence.normal(ids, {slot: noise.power for slot, noise in fit.noise.items()})
     own = np.array([i in hypothesis.columns for i in ids], dtype=np.bool_)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / np.outer(scale, scale)

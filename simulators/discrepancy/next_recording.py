@@ -251,10 +251,7 @@ def _distance(
     """Return half the squared whitened length of what ``wanted`` adds and neither nuisances nor ``others`` imitate."""
     ids = [*wanted.columns, *evidence.prior, *others]
     k = len(wanted.columns)
-    matrix = np.zeros((len(ids), len(ids)))
-    for slot in evidence.slots:
-        gram, _ = evidence.products(slot, ids)
-        matrix += np.tensordot(1.0 / power[slot], gram, 1)
+    matrix, _ = evidence.normal(ids, power)
     for place, i in enumerate(ids):
         if i in evidence.prior:
             matrix[place, place] += 1.0 / evidence.prior[i] ** 2

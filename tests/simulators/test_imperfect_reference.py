@@ -96,9 +96,10 @@ def test_a_false_clock_is_told_from_errors_of_timing_in_the_last_digits(tmp_path
     for slot in evidence.slots:
         bins = evidence.basis[slot].bounds[:-1]
         left = np.add.reduceat(evidence.library.left(slot, large.ids, large.amplitude) ** 2, bins)
-        gram, with_residual = evidence.products(slot, large.ids)
+        products = evidence.inner[slot].of(large.ids)
+        size = large.amplitude[products.where]
         summed = np.add.reduceat(evidence.library.residual[slot] ** 2, bins)
-        summed += (gram @ large.amplitude) @ large.amplitude - 2.0 * with_residual @ large.amplitude
+        summed += (products.gram @ size) @ size - 2.0 * products.with_residual @ size
         assert np.max(np.abs(summed - left) / fit.noise[slot].power) < 0.01
 
 

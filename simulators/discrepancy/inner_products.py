@@ -1,0 +1,127 @@
+"""Inner products of one slot's columns and residual, per bin of frequency, gathered once.
+
+Those of the library's own columns are multiplied when it is closed; those of columns that come later, trials of other
+shapes, when they are asked for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.discrepancy.candidates import Library, Slot
+
+Array = NDArray[np.float64]
+
+_MANY = 64
+_NOTHING = 1e-15  # share of a column's power: those of turns and of their errors are 1e5 σ, and cancel
+_KEPT = 3  # sets of columns whose products are kept at hand
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Of those columns that touch the slot, ``where`` (m,): Gram (bins, m, m), and with the residual (bins, m)."""
+
+    where: NDArray[np.int64]
+    gram: Array
+    with_residual: Array
+
+
+class InnerProducts:
+    """All inner products of one slot.
+
+    Parameters
+    ----------
+    library, slot
+        Whose columns; the library gathers no more.
+    bounds : (bins + 1,)
+        First coefficient of each bin, and the end.
+    """
+
+    def __init__(self, library: Library, slot: Slot, bounds: NDArray[np.int64]) -> None:
+        self._columns, self._slot, self._bounds = library.columns, slot, bounds
+        self._base = len(library.columns)
+        self._residual = library.residual[slot]
+        self._exact = bool(library.scenes[slot[0]].turns())
+        parts = {i: column.parts[slot] for i, column in enumerate(library.columns) if slot in column.parts}
+        reach = {i: _reach(part, bounds) for i, part in parts.items()}
+        ids = sorted(parts, key=lambda i: -reach[i])  # the widest bands first
+        self.place = {i: place for place, i in enumerate(ids)}
+        """Of the library's columns that touch the slot, where they are in :attr:`gram`."""
+        gram = self._binned(parts, reach)
+        self.gram = np.ascontiguousarray(gram[:, 1:, 1:])
+        self.with_residual = np.ascontiguousarray(gram[:, 1:, 0])
+        self.residual2 = gram[:, 0, 0]
+        self._late: dict[tuple[int, int], Array] = {}
+        self._at_hand: dict[tuple[int, ...], Products] = {}
+
+    def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> Array:
+        """Return the Gram matrices (bins, m + 1, m + 1) of the residual and the columns."""
+        bins, n = len(self._bounds) - 1, len(self._residual)
+        matrix = np.empty((n, len(parts) + 1))
+        matrix[:, 0] = self._residual
+        for i, place in self.place.items():
+            matrix[:, place + 1] = parts[i]
+        gram = np.zeros((bins, len(parts) + 1, len(parts) + 1))
+        reaches = np.array([bins] + [reach[i] for i in self.place])
+        for b, (first, end) in enumerate(itertools.pairwise(self._bounds)):
+            count = int(np.sum(reaches > b))
+            rows = matrix[first:end, :count]
+            # Far from the few coefficients that tell slow effects apart. But errors in the timing of turns are known a
+            # ten-thousandth as well beforehand as they show, so that a delay is told from them in the last digits.
+            if end - first >= _MANY and not self._exact:
+                rows = rows.astype(np.float32)
+            gram[b, :count, :count] = rows.T @ rows
+        return gram
+
+    def of(self, ids: Sequence[int]) -> Products:
+        """Return the products of columns with each other and with the residual."""
+        mine = tuple(i for i in ids if self._slot in self._columns[i].parts)
+        found = self._at_hand.pop(mine, None) or self._gathered(mine)
+        self._at_hand[mine] = found  # the last one asked for goes last
+        if len(self._at_hand) > _KEPT:
+            del self._at_hand[next(iter(self._at_hand))]
+        where = np.array([place for place, i in enumerate(ids) if self._slot in self._columns[i].parts], dtype=np.int64)
+        return Products(where, found.gram, found.with_residual)
+
+    def _gathered(self, ids: tuple[int, ...]) -> Products:
+        bins, count = len(self.residual2), len(ids)
+        gram, with_residual = np.zeros((bins, count, count)), np.zeros((bins, count))
+        first = [place for place, i in enumerate(ids) if i < self._base]
+        among = np.array([self.place[ids[place]] for place in first], dtype=np.int64)
+        for place, local in zip(first, among, strict=True):
+            gram[:, place, first] = self.gram[:, local, among]
+            with_residual[:, place] = self.with_residual[:, local]
+        for place in (place for place, i in enumerate(ids) if i >= self._base):
+            with_residual[:, place] = self._product(ids[place], -1)
+            for other, j in enumerate(ids):
+                gram[:, place, other] = gram[:, other, place] = self._product(ids[place], j)
+        return Products(np.arange(count), gram, with_residual)
+
+    def _product(self, i: int, j: int) -> Array:
+        """Return the products (bins,) of a late column with another, or with the residual (-1)."""
+        key = (max(i, j), min(i, j))
+        if key not in self._late:
+            other = self._residual if j < 0 else self._columns[j].parts[self._slot]
+            self._late[key] = np.add.reduceat(self._columns[i].parts[self._slot] * other, self._bounds[:-1])
+        return self._late[key]
+
+    def weighted(self, weight: Array) -> tuple[Array, Array]:
+        """Return Gram and products with the residual of the library's columns, summed over bins with a weight."""
+        return np.tensordot(weight, self.gram, 1), weight @ self.with_residual
+
+    def across(self, i: int, each: Array) -> Array:
+        """Return products (m,) of a late column with the library's, weighted by coefficient (n,)."""
+        part = self._columns[i].parts[self._slot] * each
+        return np.array([self._columns[j].parts[self._slot] @ part for j in self.place])
+
+
+def _reach(part: Array, bounds: NDArray[np.int64]) -> int:
+    """Return in how many bins a column has any power to speak of; beyond them it is not multiplied."""
+    power = np.add.reduceat(part**2, bounds[:-1])
+    left = np.cumsum(power[::-1])[::-1]
+    return int(np.sum(left > _NOTHING * left[0]))
