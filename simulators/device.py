@@ -46,7 +46,7 @@ from inertial.documents import BlockModel
 from inertial.earth import STANDARD_GRAVITY_MPS2
 from simulators.block import SimulatedBlock
 from simulators.errors import ScenarioError
-from simulators.motion import Setup
+from simulators.motion import Setup, Turn
 from simulators.scenarios import DEG, Heat, Move, Scenario, StuckSensor, effect, make_block, vector
 
 ANNOUNCE_S = 1.0
@@ -217,10 +217,14 @@ class Device:
         self._stuck = []
         self._power_up(now_s)
 
-    def move(self, fault: Move) -> None:
-        """Turn the block at once."""
+    def move(self, fault: Move, now_s: float) -> None:
+        """Turn the block at once, also while its sensors are off between two lives."""
+        rate_radps, axis = fault.rate_dps * DEG, vector(fault.axis)
         if self._block is not None:
-            self._block.move(fault.rate_dps * DEG, vector(fault.axis), fault.duration_s)
+            self._block.move(rate_radps, axis, fault.duration_s)
+        elif self._setup is not None and self._origin_s is not None:
+            start_s = now_s - self._origin_s
+            self._setup = self._setup.with_motion(Turn(start_s, start_s + fault.duration_s, rate_radps, axis))
 
     def heat(self, fault: Heat) -> None:
         """Warm or cool the block at once."""

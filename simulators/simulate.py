@@ -227,7 +227,7 @@ class LineSimulator:
             case Restart():
                 self._device.restart(now_s)
             case Move() if not planned:  # planned ones are in the block's motion from the start, to the sample
-                self._device.move(fault)
+                self._device.move(fault, now_s)
             case StuckSensor() if not planned:
                 self._device.stick(fault, now_s)
             case Heat() if not planned:

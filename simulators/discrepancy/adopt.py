@@ -20,7 +20,8 @@ from inertial.documents import CHANNELS
 from inertial.rounding import largest_line
 from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
-from simulators.discrepancy.evidence import Evidence, Fit, Look, bayes_factor
+from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.look import Look
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
 
@@ -45,11 +46,12 @@ _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
 _ORDERS = 2.0  # in which two names can be named
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
+_SAME_GAIN = 1e-6  # share of a gain by which that of the same column may be off
 _STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
 _FELT = 0.5  # σ of a sample by which the reference's errors must move the input to be felt by a readout
 _NEAR_TURN_S = 0.3  # of a turn's end, where what the turn does begins or ends
-_SLACK = 10.0  # nats that refining a shape may still add to what it promises
+_SLACK = 6.0  # nats that refining a shape may still add to what it promises
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ class Searcher:
         """Return the score of two names beside those adopted; all of them, shapes refined; their fit."""
         both, fit = self.polish([*adopted, *pair], self.fit_of([*adopted, *pair], current))
         pair = both[len(adopted) :]
-        count, places = sum(len(h.columns) for h in pair), math.prod(self.places(h) for h in pair) / _ORDERS
+        count, places = sum(h.freedom for h in pair), math.prod(self.places(h) for h in pair) / _ORDERS
         return bayes_factor(fit.value - current.value, count, places), both, fit
 
     def _timed(self, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
@@ -271,7 +273,7 @@ class Searcher:
             trials += [self.line_trial(one.slot, hertz) for hertz in one.lines_hz]
             new = [trial for trial in trials if trial is not None]
             fit = self.fit_of([*adopted, *new], current)
-            count = sum(len(h.columns) for h in new)
+            count = sum(h.freedom for h in new)
             places = math.prod(self.places(h) for h in new)
             if bayes_factor(fit.value - current.value, count, places) > 0.5 * MARGIN:  # or it would not stay
                 return [*adopted, *new], fit
@@ -310,27 +312,38 @@ class Searcher:
         out; not those that promised as much as it did, which may have scored far more as it has left quieter noise.
         """
         look = Look(self.evidence, current, self.quiet(current))
+        looks = Look(self.evidence, current, current.noise), look
         scored: list[Scored] = []
         wanted = dict.fromkeys(Kind, (-math.inf, -math.inf))  # score and promise
         if own is not None:
-            wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, look, current) - TIE))
-        for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted)):
+            wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, looks) - TIE))
+        for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted, looks)):
             least, alike = wanted[hypothesis.kind]
             slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
             if promise + max(_SLACK, slack * promise) < least and promise < alike:
                 continue
             refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
-            one = self.score(refined, current, adopted)
+            one = self._as_parallel(refined, scored) or self.score(refined, current, adopted)
             if one is not None and not self._is_rounding(one):
                 scored.append(one)
                 if one.score - TIE > least:
                     wanted[hypothesis.kind] = one.score - TIE, promise - TIE
         return sorted(scored, key=lambda s: -s.score)
 
-    def _promise(self, hypothesis: Hypothesis, quiet: Look, current: Fit) -> float:
-        """Return the score that a hypothesis would have if the noise were quiet, or as it is."""
-        gain = max(look.gain(hypothesis) for look in (quiet, Look(self.evidence, current, current.noise)))
-        return bayes_factor(gain, len(hypothesis.columns), self.places(hypothesis))
+    def _as_parallel(self, hypothesis: Hypothesis, scored: Sequence[Scored]) -> Scored | None:
+        """Return the score of what is one and the same in these recordings as what has a score already, but in size."""
+        for other in scored:
+            ratio = self.library.ratio(hypothesis, other.hypothesis)
+            if ratio is not None:
+                fit = other.fit.with_parallel(other.hypothesis.columns[0], hypothesis.columns[0], ratio)
+                score = bayes_factor(other.gain, hypothesis.freedom, self.places(hypothesis))
+                return Scored(hypothesis, fit, other.gain, score)
+        return None
+
+    def _promise(self, hypothesis: Hypothesis, looks: Sequence[Look]) -> float:
+        """Return the score that a hypothesis would have in the noise of one of the looks."""
+        gain = max(look.gain(hypothesis) for look in looks)
+        return bayes_factor(gain, hypothesis.freedom, self.places(hypothesis))
 
     def _is_rounding(self, one: Scored) -> bool:
         """Whether a line may be one of the rounding error, no larger than noise of less than is stated leaves it."""
@@ -348,29 +361,31 @@ class Searcher:
         jolt = ROUNDED_AT[0] * white * math.sqrt(scene.interval_s) / noise.quantisation
         return bool(angle < noise.quantisation * largest_line(jolt, samples))
 
-    def _leaders(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[tuple[float, Hypothesis]]:
-        """Return what promises most, by the score that it would have if the noise were as it is, or quiet."""
+    def _leaders(
+        self, current: Fit, adopted: Sequence[Hypothesis], looks: Sequence[Look]
+    ) -> list[tuple[float, Hypothesis]]:
+        """Return what promises most, by the score that it would have in the noise of one of the looks."""
         taken = {h.name for h in adopted if h.effect not in ("sinusoid", "bias_step")}
-        quiet = self.quiet(current)
-        late = self._late(current, quiet)
+        late = self._late(current, looks)
         pool = [h for h in self.library.hypotheses if h.name not in taken and max(h.columns) < self.evidence.base]
         pool += [h for h in self.library.corrected if h.name not in taken] + late
         picked: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
-        for noise in (current.noise, quiet):
-            look = Look(self.evidence, current, noise)
+        for look in looks:
             gains = look.gains(pool)
-            scores = np.array(
-                [bayes_factor(g, len(h.columns), self.places(h)) for g, h in zip(gains, pool, strict=True)]
-            )
+            scores = np.array([bayes_factor(g, h.freedom, self.places(h)) for g, h in zip(gains, pool, strict=True)])
             room = {Kind.NAMED: _LEADERS, Kind.REFERENCE: 3, Kind.EMPIRICAL: 3}
-            seen: set[tuple[str, str]] = set()
+            seen: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
             plain = np.array([_plainness(h) for h in pool])
             for place in np.argsort(-(scores + SAME * (plain > 0)), kind="stable"):
                 h = pool[int(place)]
-                if h.name in seen or not room[h.kind] or gains[place] < 2.0:
+                if h.name in seen or gains[place] < 2.0:
                     continue
-                seen.add(h.name)
-                room[h.kind] -= 1
+                as_good = [o for gain, o in seen.values() if abs(gain - gains[place]) < _SAME_GAIN * gain]
+                new = all(self.library.ratio(h, other) is None for other in as_good)
+                if new and not room[h.kind]:
+                    continue
+                seen[h.name] = float(gains[place]), h
+                room[h.kind] -= new  # what is one and the same in these recordings takes one place
                 if h.name not in picked or picked[h.name][0] < scores[place]:
                     picked[h.name] = float(scores[place]), h
         return sorted(picked.values(), key=lambda one: (one[1].kind is not Kind.NAMED, -one[0]))
@@ -393,7 +408,7 @@ class Searcher:
         gain = fit.value - current.value
         if not math.isfinite(gain):
             return None
-        return Scored(hypothesis, fit, gain, bayes_factor(gain, len(hypothesis.columns), self.places(hypothesis)))
+        return Scored(hypothesis, fit, gain, bayes_factor(gain, hypothesis.freedom, self.places(hypothesis)))
 
     # shapes ------------------------------------------------------------------------------------------------------
 
@@ -460,15 +475,15 @@ class Searcher:
             hypothesis = trial
         return hypothesis
 
-    def _late(self, current: Fit, noise: dict[Slot, NoiseFit]) -> list[Hypothesis]:
+    def _late(self, current: Fit, looks: Sequence[Look]) -> list[Hypothesis]:
         """Return steps and lines where the whitened residual has them, a few a channel.
 
         Which of the steps is the best hangs on what the reference leaves open, which the residual alone does not say.
         """
         late: list[Hypothesis | None] = []
-        for model in (noise, current.noise):
+        for look in reversed(looks):
             for slot in self.evidence.slots:
-                basis, power = self.evidence.basis[slot], model[slot].power
+                basis, power = self.evidence.basis[slot], look.noise[slot].power
                 score = self._score_left(slot, current, power)
                 for first, gain in self.evidence.steps(slot).several(score, power, _STEPS_TRIED):
                     if gain > _STEP_NATS:
@@ -507,7 +522,7 @@ class Searcher:
         for h in judged:
             rest = [other for other in adopted if other is not h]
             without = self.fit_of(rest, current)
-            if bayes_factor(current.value - without.value, len(h.columns), self.places(h)) < 0.5 * MARGIN:
+            if bayes_factor(current.value - without.value, h.freedom, self.places(h)) < 0.5 * MARGIN:
                 return self._settle(rest, without, [other for other in judged if other is not h])
         return adopted, current
 

@@ -21,6 +21,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene, mean_changed, parameter_change
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.unsteady import level_spread
+from simulators.discrepancy.wiring import Mistake, mend
 from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Occasion, SampleEffect, Stage
 from simulators.effects.size_effect import SizeEffect
@@ -50,10 +51,12 @@ USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
 FITTED_PLACES = 30.0
 """What any other costs, of which there are as many as the data can tell apart: it stands for a bias as well."""
+REWIRED = frozenset({"sign_flip", "axis_swap"})
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
+_PARALLEL = 1e-9  # share of a column by which another may be off a multiple of it, for rounding
 ACROSS_S = 4e-3
 """How near a turn's start or end is to a sample's edge that it may lie beyond it."""
 TIMING_SIGMA_S = 1e-3
@@ -106,6 +109,16 @@ class Hypothesis:
     def name(self) -> tuple[str, str]:
         """Effect and channel."""
         return self.effect, self.channel
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers are found from the data: amplitudes, or the shape of what has none; none of a mistake."""
+        return len(self.shape) if self.unit_amplitude else len(self.columns)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is one column of any size, as it stands: neither its shape nor its size says how it looks."""
+        return len(self.columns) == 1 and not (self.unit_amplitude or self.shape or self.chord)
 
 
 def to_cosine(values: Array) -> Array:
@@ -167,6 +180,19 @@ class Library:
             if part is not None:
                 total += size * part
         return total
+
+    def ratio(self, one: Hypothesis, two: Hypothesis) -> float | None:
+        """Return how many times the other's column is the one's, where they are parallel and each is all there is."""
+        if not (one.is_plain and two.is_plain):
+            return None
+        first, second = self.columns[one.columns[0]].parts, self.columns[two.columns[0]].parts
+        if first.keys() != second.keys():
+            return None
+        own = sum(float(second[slot] @ second[slot]) for slot in second)
+        both = sum(float(first[slot] @ second[slot]) for slot in first)
+        ratio = both / own
+        off = sum(float(np.sum((first[slot] - ratio * second[slot]) ** 2)) for slot in first)
+        return ratio if ratio != 0.0 and off < _PARALLEL**2 * ratio**2 * own else None
 
     def add_column(self, raw: Iterable[tuple[Slot, Array]]) -> int | None:
         """Keep a column given as rates (n,) by slot; none where it has nothing in it."""
@@ -274,6 +300,8 @@ class Library:
                     self.trial(effect.name, channel, shape, places if is_usual(shape) else places * FITTED_PLACES)
         elif not self._wanted(effect):
             return
+        elif effect.name in REWIRED:
+            self._add_mistakes(effect)
         elif effect.name in SMALL:
             self.setup_trial(effect.name, "all", (SMALL[effect.name],))
         elif effect.name in ("latency", "clock_scale"):
@@ -286,6 +314,19 @@ class Library:
         elif effect.name == "level_error":
             for rides in (0.0, 1.0):
                 self.setup_trial("level_error", "all", (TILT_RAD, TILT_RAD), {"rides": rides})
+
+    def _add_mistakes(self, effect: Effect) -> None:
+        """What a mistake of wiring would add; those too large to be missed were mended before."""
+        for channel in self._wanted(effect):
+            on, _, by = channel.partition("<-")
+            one, two = CHANNELS.index(on), CHANNELS.index(by or on)
+            if one > two:
+                continue  # the same exchange as the other way about
+            raw: list[tuple[Slot, Array]] = []
+            for s, scene in enumerate(self.scenes):
+                wired = mend(scene.predicted, [Mistake(effect.name, channel, 1.0, 0.0, constant=False)])
+                raw += [((s, c), wired[:, c] - scene.predicted[:, c]) for c in {one, two}]
+            self.add(Kind.NAMED, effect.name, channel, [raw], unit_amplitude=True)
 
     def shapes(self, effect: Effect, channel: str) -> list[dict[str, float]]:
         """Return the grid of shapes of an effect."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS, ChannelNoise
 from inertial.rounding import power_scatter
 from simulators.discrepancy.atoms import Steps
-from simulators.discrepancy.candidates import Hypothesis, Library, Slot
+from simulators.discrepancy.candidates import Library, Slot
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -28,10 +27,9 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
-_RIDGE = 1e-14
+RIDGE = 1e-14
+"""On the diagonal of normal equations of columns of length one."""
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
-_APART = 1e-3  # squared sine between two columns that are tried together
-_LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
@@ -39,8 +37,11 @@ _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount t
 def bayes_factor(gain: float, count: int, places: float) -> float:
     """Return ln of the Bayes factor [nats] of ``count`` amplitudes that raise the log-likelihood by ``gain``.
 
-    Empirical-Bayes g-prior, 2 ln BF = LR - k·(ln(LR/k) + 1), less ln of the number of places looked at.
+    Empirical-Bayes g-prior, 2 ln BF = LR - k·(ln(LR/k) + 1), less ln of the number of places looked at. What has no
+    amplitude to be found has the likelihood ratio itself.
     """
+    if count == 0:
+        return gain - math.log(places)
     ratio = 2.0 * gain / count
     if ratio <= 1.0:
         return -math.log(places)
@@ -57,6 +58,16 @@ class Fit:
     value: float
     noise: dict[Slot, NoiseFit]
     rss: dict[Slot, Array]
+
+    def with_parallel(self, old: int, new: int, ratio: float) -> Fit:
+        """Return the same fit with a column ``new`` that is ``ratio`` times ``old`` in that one's place."""
+        place = self.ids.index(old)
+        amplitude, covariance = self.amplitude.copy(), self.covariance.copy()
+        amplitude[place] /= ratio
+        covariance[place] /= ratio
+        covariance[:, place] /= ratio
+        ids = (*self.ids[:place], new, *self.ids[place + 1 :])
+        return replace(self, ids=ids, amplitude=amplitude, covariance=covariance)
 
 
 class Evidence:
@@ -305,7 +316,7 @@ class Evidence:
             matrix, right = whole[:k, :k], right[:k] - whole[:k, k:].sum(axis=1)
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             unit = matrix / np.outer(scale, scale)
-            unit[np.diag_indices(k)] += _RIDGE
+            unit[np.diag_indices(k)] += RIDGE
             inverse = np.linalg.inv(unit) if k else unit
             covariance = inverse / np.outer(scale, scale)
             amplitude = np.linalg.solve(unit, right / scale) / scale
@@ -375,145 +386,3 @@ def _known(products: Products, covariance: Array) -> Array:
     free = int(np.searchsorted(products.where, len(covariance)))
     where = products.where[:free]
     return np.asarray(np.einsum("bij,ij->b", products.gram[:, :free, :free], covariance[np.ix_(where, where)]))
-
-
-class Look:
-    """What each hypothesis would gain beside a fit at a given noise, the noise not refitted: milliseconds for all."""
-
-    def __init__(self, evidence: Evidence, current: Fit, noise: dict[Slot, NoiseFit]) -> None:
-        self.evidence, self.active = evidence, list(current.ids)
-        self._weight = {slot: 1.0 / noise[slot].power for slot in evidence.slots}
-        k = len(self.active)
-        matrix, right = evidence.normal(self.active, {slot: fitted.power for slot, fitted in noise.items()})
-        matrix += np.diag([1.0 / evidence.prior[i] ** 2 if i in evidence.prior else 0.0 for i in self.active])
-        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        unit = matrix / np.outer(scale, scale)
-        unit[np.diag_indices(k)] += _RIDGE
-        self._inverse = np.linalg.inv(unit) / np.outer(scale, scale) if k else unit
-        self._amplitude = self._inverse @ right
-        self._grams: dict[Slot, Array] = {}
-        self._each: dict[Slot, Array] = {}
-
-    def gains(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return by how much each hypothesis raises the log-likelihood [nats]."""
-        gains = np.zeros(len(hypotheses))
-        alone = [place for place, h in enumerate(hypotheses) if self._is_plain(h)]
-        gains[alone] = self._alone[[hypotheses[place].columns[0] for place in alone]]
-        for place in set(range(len(hypotheses))) - set(alone):
-            gains[place] = self.gain(hypotheses[place])
-        return gains
-
-    def _is_plain(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis is one free column of the library's first."""
-        return (
-            len(hypothesis.columns) == 1
-            and hypothesis.columns[0] < self.evidence.base
-            and not hypothesis.unit_amplitude
-        )
-
-    def gain(self, hypothesis: Hypothesis) -> float:
-        """Return by how much a hypothesis raises the log-likelihood [nats]."""
-        if any(i in self.active for i in hypothesis.columns):
-            return 0.0
-        if self._is_plain(hypothesis):
-            return float(self._alone[hypothesis.columns[0]])
-        own, score, cross = self._products(hypothesis.columns)
-        left = score - cross @ self._amplitude
-        inside = own - cross @ self._inverse @ cross.T
-        if hypothesis.unit_amplitude:
-            return float(np.sum(left) - 0.5 * np.sum(inside))
-        if len(left) == 1:
-            whole, rest = float(own[0, 0]), float(inside[0, 0])
-            return 0.5 * float(left[0]) ** 2 / rest if rest > _LEFT_OVER * whole else 0.0
-        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        values, vectors = np.linalg.eigh(inside / np.outer(size, size))
-        seen = values > _LEFT_OVER
-        along = (vectors.T @ (left / size))[seen]
-        return 0.5 * float(np.sum(along**2 / values[seen]))
-
-    def pairs(self, ids: Sequence[int]) -> Array:
-        """Return by how much each two of m of the library's first columns raise the log-likelihood (m, m)."""
-        if not ids:
-            return np.zeros((0, 0))
-        own, score, cross = self._products(ids)
-        left = score - cross @ self._amplitude
-        inside = own - cross @ self._inverse @ cross.T
-        size = np.sqrt(np.maximum(np.diag(inside), 1e-300))
-        seen = np.diag(inside) > _LEFT_OVER * np.diag(own)
-        along = np.where(seen, left / size, 0.0)
-        alike = inside / np.outer(size, size)
-        apart = 1.0 - alike**2
-        both = along[:, None] ** 2 + along**2 - 2.0 * alike * np.outer(along, along)
-        told = (apart > _APART) & np.outer(seen, seen)
-        return np.asarray(np.where(told, 0.5 * both / np.maximum(apart, _APART), 0.0))
-
-    @cached_property
-    def _alone(self) -> Array:
-        """What each of the library's first columns would gain by itself (base,)."""
-        whole, score, cross = self._first
-        left = score - cross @ self._amplitude
-        rest = whole - np.einsum("ij,ij->i", cross @ self._inverse, cross)
-        gains = np.zeros(self.evidence.base)
-        told = rest > _LEFT_OVER * whole
-        gains[told] = 0.5 * left[told] ** 2 / rest[told]
-        gains[[i for i in self.active if i < self.evidence.base]] = 0.0
-        return gains
-
-    @cached_property
-    def _first(self) -> tuple[Array, Array, Array]:
-        """Of the library's first: power (base,), products with the residual (base,) and the active ones (base, k)."""
-        evidence, base = self.evidence, self.evidence.base
-        whole, score, cross = np.zeros(base), np.zeros(base), np.zeros((base, len(self.active)))
-        for slot in evidence.slots:
-            local = evidence.inner[slot].place
-            ids = np.fromiter(local, dtype=np.int64)
-            gram, with_residual = evidence.inner[slot].weighted(self._weight[slot])
-            self._grams[slot] = gram
-            whole[ids] += np.diag(gram)
-            score[ids] += with_residual
-            for place, i in enumerate(self.active):
-                if i in local:
-                    cross[ids, place] += gram[:, local[i]]
-                elif slot in evidence.library.columns[i].parts:
-                    cross[ids, place] += evidence.inner[slot].across(i, self._spread(slot))
-        return whole, score, cross
-
-    def _spread(self, slot: Slot) -> Array:
-        """Return a slot's weight by coefficient (n,)."""
-        if slot not in self._each:
-            self._each[slot] = self.evidence.basis[slot].each(self._weight[slot])
-        return self._each[slot]
-
-    def _products(self, ids: Sequence[int]) -> tuple[Array, Array, Array]:
-        k, evidence = len(ids), self.evidence
-        _, first_score, first_cross = self._first
-        if all(i < evidence.base for i in ids):
-            own = np.zeros((k, k))
-            for slot in evidence.touched(ids):
-                local = evidence.inner[slot].place
-                mine = [place for place, i in enumerate(ids) if i in local]
-                where = [local[ids[place]] for place in mine]
-                own[np.ix_(mine, mine)] += self._grams[slot][np.ix_(where, where)]
-            return own, first_score[list(ids)], first_cross[list(ids)]
-        own, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((k, len(self.active)))
-        for slot in evidence.touched(ids):
-            self._add_late(slot, ids, own, score, cross)
-        return own, score, cross
-
-    def _add_late(self, slot: Slot, ids: Sequence[int], own: Array, score: Array, cross: Array) -> None:
-        """Add one slot's share of columns that came after the library's, without any binning."""
-        columns = self.evidence.library.columns
-        mine = np.zeros((self.evidence.basis[slot].n, len(ids)))
-        for place, i in enumerate(ids):
-            if slot in columns[i].parts:
-                mine[:, place] = columns[i].parts[slot]
-        weighted = mine * self._spread(slot)[:, None]
-        own += mine.T @ weighted
-        score += weighted.T @ self.evidence.library.residual[slot]
-        known, stack = self.evidence.stack(slot)
-        together = weighted.T @ stack
-        for place, i in enumerate(self.active):
-            if i in known:
-                cross[:, place] += together[:, known.index(i)]
-            elif slot in columns[i].parts:
-                cross[:, place] += weighted.T @ columns[i].parts[slot]

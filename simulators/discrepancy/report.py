@@ -18,7 +18,7 @@ from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import Clipped, find_clipped
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
-from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but_one
@@ -30,7 +30,7 @@ from simulators.discrepancy.rivals import with_rivals
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
-from simulators.discrepancy.wiring import Mistake, find_mistakes, flip_behind, mend
+from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
 from simulators.discrepancy.words import in_words
 from simulators.effects import get_effect
 from simulators.effects.base import SampleEffect, Stage, unit_of
@@ -169,7 +169,7 @@ def _report(
             "heldout_rms": {"before": before, "after": after},
             "structured_share": _structured(search, slots),
             "navigation_m": navigation_gap(raw, scenes, search),
-            "steps": _steps(search, named),
+            "steps": _steps(search),
         },
         "where": where(search),
         "noise": _noise_document(search),
@@ -225,7 +225,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
         "channel": h.channel,
         "parameters": {name: value.model_dump() for name, value in values.items()},
         "confidence": _confidence(adopted),
-        "alternatives": _alternatives(adopted) + _flipped(h, values, evidence.library.scenes),
+        "alternatives": _alternatives(adopted),
         "runners_up": [
             _rival(s.hypothesis, adopted.score - s.score)
             for s in adopted.rivals
@@ -259,17 +259,6 @@ def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
                 with_name = {"effect": other.effect, "channel": other.channel}
                 found.append({**_rival(h, adopted.score - pair.score), "together_with": with_name})
     return found
-
-
-def _flipped(h: Hypothesis, values: dict[str, ParameterValue], scenes: Sequence[Scene]) -> list[dict[str, Any]]:
-    """Return that a shift may as well be a turned sign, too small to be seen before all else, where it is as large."""
-    if h.effect != "bias_shift":
-        return []
-    shift = values["shift"]
-    behind = flip_behind(scenes, h.channel, shift.value, shift.sigma or 0.0)
-    if behind is None or behind > TIE:
-        return []
-    return [{"effect": "sign_flip", "channel": h.channel, "behind_nats": behind}]
 
 
 def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:
@@ -306,8 +295,9 @@ def _wiring_finding(mistake: Mistake, search: Search) -> dict[str, Any]:
     count = sum(search.evidence.basis[s].n for s in slots)
     before = math.sqrt(after**2 + mistake.explained / max(count, 1))
     finding = _plain(mistake.effect, mistake.channel, values, 0.5 * mistake.explained, before, after)
-    if mistake.constant and mistake.effect != "axis_swap":
-        finding["alternatives"] = [{"effect": "bias_shift", "channel": mistake.channel, "behind_nats": 2.0}]
+    behind = -bayes_factor(0.5 * mistake.explained, 1, 1.0) + 0.5 * mistake.explained
+    if mistake.constant and mistake.effect != "axis_swap" and behind < TIE:  # a shift of just that size
+        finding["alternatives"] = [{"effect": "bias_shift", "channel": mistake.channel, "behind_nats": behind}]
     return finding
 
 
@@ -395,7 +385,7 @@ def _structured(search: Search, slots: Sequence[Slot]) -> dict[str, float]:
     return shares
 
 
-def _steps(search: Search, named: Sequence[Adopted]) -> list[dict[str, Any]]:
+def _steps(search: Search) -> list[dict[str, Any]]:
     """Return the whitened RMS as the findings go in one after the other."""
     evidence = search.evidence
     steps = [{"added": "nothing", "whitened_rms": rms(search, evidence.slots, search.bare)}]
@@ -409,7 +399,6 @@ def _steps(search: Search, named: Sequence[Adopted]) -> list[dict[str, Any]]:
         )
         label = f"{adopted.hypothesis.effect} on {adopted.hypothesis.channel}"
         steps.append({"added": label, "whitened_rms": rms(search, evidence.slots, fit)})
-    del named
     return steps
 
 

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 from simulators.discrepancy.adopt import TIE, Adopted, Scored, Searcher, Together
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
-from simulators.discrepancy.evidence import Fit, Look, bayes_factor
+from simulators.discrepancy.evidence import Fit, bayes_factor
+from simulators.discrepancy.look import Look
 
 _SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
 _LISTED = 8
@@ -52,7 +53,7 @@ def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without:
     look = Look(searcher.evidence, without, own.fit.noise)
     pool = [other for other in searcher.unlike({o.name for o in rest}) if searcher.channels(other) == channels]
     pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
-    mine = bayes_factor(look.gain(h), len(h.columns), searcher.places(h))
+    mine = bayes_factor(look.gain(h), h.freedom, searcher.places(h))
     tied = []
     for pair in searcher.pairs(pool, look, mine - TIE - _SLACK_OF_TWO):
         score, both, _ = searcher.joint(pair, rest, without)

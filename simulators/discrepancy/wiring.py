@@ -7,7 +7,6 @@ is the stated one times the ratio of two units is in the other unit, however lit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,17 +90,6 @@ def _whole_triads(found: list[Mistake]) -> list[Mistake]:
             joined = Mistake("unit_error", triad, same[0].factor, sum(m.explained for m in same), same[0].constant)
             found = [m for m in found if m not in same] + [joined]
     return found
-
-
-def flip_behind(scenes: Sequence[Scene], channel: str, shift: float, sigma: float) -> float | None:
-    """Return by how many nats a turned sign explains a shift of bias [y] ± ``sigma`` less well than the shift itself.
-
-    None where the input did not stand still: a turned sign is no constant there.
-    """
-    inputs = np.concatenate([scene.predicted[:, CHANNELS.index(channel)] for scene in scenes])
-    if np.ptp(inputs) > _STEADY * np.max(np.abs(inputs)) or sigma <= 0.0:
-        return None
-    return float(0.5 * ((shift + 2.0 * inputs.mean()) / sigma) ** 2)
 
 
 def mend(rates: Array, mistakes: list[Mistake]) -> Array:

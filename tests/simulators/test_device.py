@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from line_bench import bench
 
@@ -28,7 +30,7 @@ from drivers.protocols import get_protocol
 from drivers.protocols.base import Frame
 from drivers.samples import Status
 from simulators.device import Device, DeviceError, TermMemory
-from simulators.scenarios import Restart, Scenario, StuckSensor, demo_model, demo_scenario
+from simulators.scenarios import Move, Restart, Scenario, StuckSensor, demo_model, demo_scenario
 
 TERMS = WriteCompensation((1e-3, -2e-3, 3e-3), (1e-6, -2e-6, 3e-6))
 
@@ -47,6 +49,8 @@ class Desk:
             now_s=0.0,
         )
         self.samples: list[tuple[int, int]] = []
+        self.last_dv: np.ndarray | None = None
+        self.now_s = 0.0
 
     def at(self, now_s: float, command: object = None) -> list[object]:
         """Return the messages sent by ``now_s``, which a command may have reached first."""
@@ -54,6 +58,9 @@ class Desk:
             self.device.receive(self.protocol.encode_message(command, 9), now_s)  # type: ignore[arg-type]
         outgoing = self.device.advance(now_s)
         self.samples += [(o.cycle, o.sequence) for o in outgoing if o.sequence is not None]
+        data = [Frame(o.data, 0.0) for o in outgoing if o.sequence is not None]
+        if data:
+            self.last_dv = self.protocol.decoder().decode(data).samples["dv"].mean(axis=0)
         decoded = self.protocol.decoder().decode([Frame(o.data, 0.0) for o in outgoing if o.sequence is None])
         return [received.message for received in decoded.messages]
 
@@ -86,6 +93,30 @@ def test_stop_silences_the_sensors_but_their_time_goes_on() -> None:
     desk.at(4.006, Start())
     desk.at(5.005)
     assert [s for _, s in desk.samples] == [*range(100), *range(300, 400)]
+
+
+@pytest.mark.parametrize("off_s", [0.0, 0.1])
+def test_a_block_that_is_turned_as_it_restarts_stands_turned(off_s: float) -> None:
+    """Whether its sensors are on or not: who later turns it back finds it as it stood at first."""
+    desk = Desk()
+
+    def stands() -> np.ndarray:
+        desk.at(desk.now_s + 0.5, Start())
+        desk.now_s += 2.5
+        desk.at(desk.now_s)
+        assert desk.last_dv is not None
+        return desk.last_dv / np.linalg.norm(desk.last_dv)
+
+    desk.now_s = 1.0
+    at_first = stands()
+    desk.device.restart(desk.now_s)
+    desk.device.move(Move(kind="move", duration_s=0.1, rate_dps=300.0, axis=[1.0, 1.0, 0.0]), desk.now_s + off_s)
+    turned = stands()
+    assert math.degrees(math.acos(at_first @ turned)) == pytest.approx(30.0, abs=0.5)
+    desk.device.move(Move(kind="move", duration_s=0.1, rate_dps=-300.0, axis=[1.0, 1.0, 0.0]), desk.now_s)
+    desk.at(desk.now_s + 0.5)
+    desk.at(desk.now_s + 1.0)
+    assert math.degrees(math.acos(min(1.0, at_first @ (desk.last_dv / np.linalg.norm(desk.last_dv))))) < 0.5
 
 
 def test_the_rate_changes_only_while_silent_and_only_to_what_the_line_carries() -> None:
