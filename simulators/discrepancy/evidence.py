@@ -29,6 +29,7 @@ T = TypeVar("T")
 _ROUNDS = 4  # of weights, amplitudes, weights … in a joint fit
 RIDGE = 1e-14
 """On the diagonal of normal equations of columns of length one."""
+_SETTLED = 1e-6  # share of itself by which noise may change from round to round and is found
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
@@ -321,6 +322,7 @@ class Evidence:
             covariance = inverse / np.outer(scale, scale)
             amplitude = np.linalg.solve(unit, right / scale) / scale
             full = np.concatenate([amplitude, np.ones(f)])
+            before = {slot: noise[slot].power for slot in moving}
             for slot in moving:
                 rss[slot] = self._rss(slot, products[slot], full)
                 used = _known(products[slot], covariance) / noise[slot].power
@@ -331,6 +333,8 @@ class Evidence:
                     eased=self.eased[slot],
                     sways=self.sways,
                 )
+            if all(np.max(np.abs(noise[slot].power / before[slot] - 1.0)) < _SETTLED for slot in moving):
+                break
         for slot in kept:
             rss[slot] = self._rss(slot, products[slot], full)
         value = sum(self._value(slot, rss[slot], noise[slot]) for slot in self.slots)

@@ -51,11 +51,14 @@ class Look:
         """Return by how much each hypothesis raises the log-likelihood [nats]."""
         gains = np.zeros(len(hypotheses))
         alike: dict[tuple[int, bool], list[int]] = {}
+        late: dict[frozenset[Slot], list[int]] = {}
         for place, h in enumerate(hypotheses):
             if max(h.columns) < self.evidence.base:
                 alike.setdefault((len(h.columns), h.unit_amplitude), []).append(place)
             else:
-                gains[place] = self.gain(h)
+                late.setdefault(frozenset(self.evidence.touched(h.columns)), []).append(place)
+        for places in late.values():
+            gains[places] = self._late_gains([hypotheses[place] for place in places])
         for (_, unit), places in alike.items():
             columns = np.array([hypotheses[place].columns for place in places])
             found = self._explained(self._of_first(columns), unit)
@@ -64,14 +67,7 @@ class Look:
 
     def gain(self, hypothesis: Hypothesis) -> float:
         """Return by how much a hypothesis raises the log-likelihood [nats]."""
-        if any(i in self.active for i in hypothesis.columns):
-            return 0.0
-        if max(hypothesis.columns) < self.evidence.base:
-            sums = self._of_first(np.array([hypothesis.columns]))
-        else:
-            own, score, cross = self._of_late(hypothesis.columns)
-            sums = own[None], score[None], cross[None]
-        return float(self._explained(sums, hypothesis.unit_amplitude)[0])
+        return float(self.gains([hypothesis])[0])
 
     def pairs(self, ids: Sequence[int]) -> Array:
         """Return by how much each two of m of the library's first columns raise the log-likelihood (m, m)."""
@@ -88,6 +84,18 @@ class Look:
         both = along[:, None] ** 2 + along**2 - 2.0 * alike * np.outer(along, along)
         told = (apart > _APART) & np.outer(seen, seen)
         return np.asarray(np.where(told, 0.5 * both / np.maximum(apart, _APART), 0.0))
+
+    def _late_gains(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Return the gains (m,) of hypotheses that came after the library's and touch the same slots."""
+        own, score, cross = self._of_late([i for h in hypotheses for i in h.columns])
+        gains, first = np.zeros(len(hypotheses)), 0
+        for place, h in enumerate(hypotheses):
+            rows = slice(first, first + len(h.columns))
+            first = rows.stop
+            if not any(i in self.active for i in h.columns):
+                sums = own[None, rows, rows], score[None, rows], cross[None, rows]
+                gains[place] = self._explained(sums, h.unit_amplitude)[0]
+        return gains
 
     def _explained(self, sums: Sums, unit_amplitude: bool) -> Array:
         """Return the gains (m,) of m hypotheses of k columns each, given their sums (m, k, k), (m, k), (m, k, active).
