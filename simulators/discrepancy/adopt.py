@@ -9,6 +9,8 @@ passes a margin.
 from __future__ import annotations
 
 import math
+import operator
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -46,6 +48,7 @@ _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
 _ORDERS = 2.0  # in which two names can be named
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
+_RANKED = 3  # answers that are kept for when they are asked for again
 _SAME_GAIN = 1e-6  # share of a gain by which that of the same column may be off
 _STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
@@ -119,6 +122,7 @@ class Searcher:
         self.progress = progress or _silent
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
+        self._ranked: deque[tuple[Fit, tuple[Hypothesis, ...], list[Scored]]] = deque(maxlen=_RANKED)
 
     def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
         """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
@@ -305,8 +309,20 @@ class Searcher:
         at = np.array([one.shape["time"]]) if one.effect == "bias_step" else np.empty(0)
         return any(scene.near_turn_ends(at, _NEAR_TURN_S).any() for scene in self.library.scenes)
 
-    def rank(self, current: Fit, adopted: Sequence[Hypothesis], own: Scored | None = None) -> list[Scored]:
+    def rank(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
         """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted.
+
+        What was asked for of late is not done again.
+        """
+        for fit, beside, known in self._ranked:
+            if fit is current and len(beside) == len(adopted) and all(map(operator.is_, beside, adopted)):
+                return known
+        found = self.rank_against(None, current, adopted)
+        self._ranked.append((current, tuple(adopted), found))
+        return found
+
+    def rank_against(self, own: Scored | None, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
+        """Return the leading hypotheses in the place of one, which is not among those adopted, or in none's.
 
         Those that even in quiet noise would score less than the best of their kind, or far less than ``own``, are left
         out; not those that promised as much as it did, which may have scored far more as it has left quieter noise.

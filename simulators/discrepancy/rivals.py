@@ -36,7 +36,7 @@ def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> 
         h = entry.hypothesis
         searcher.progress(0.8 + 0.15 * place / len(asked), f"looking for rivals of {h.effect}")
         own, rest, without = alone[id(h)]
-        ranked = [s for s in searcher.rank(without, rest, own) if s.hypothesis.name != h.name]
+        ranked = [s for s in searcher.rank_against(own, without, rest) if s.hypothesis.name != h.name]
         entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
