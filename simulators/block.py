@@ -137,9 +137,8 @@ class SimulatedBlock:
         effect = get_effect(entry.effect)
         occasion = self._occasion(entry)
         self._entries.append(entry)
-        if effect.stage is not Stage.SETUP:
-            self._steps.append((float(effect.stage), effect.begin(occasion)))
-            self._steps.sort(key=_stage)
+        self._steps.append((float(effect.stage), effect.begin(occasion)))
+        self._steps.sort(key=_stage)
 
     def move(self, rate_radps: float, axis: tuple[float, float, float], duration_s: float) -> None:
         """Turn the block from the next sample on, about a body axis, whatever was planned for that time."""

@@ -218,7 +218,7 @@ class Device:
         self._power_up(now_s)
 
     def move(self, fault: Move, now_s: float) -> None:
-        """Turn the block at once, also while its sensors are off between two lives."""
+        """Turn the block at once, also while its sensors are off, but not before they were first on."""
         rate_radps, axis = fault.rate_dps * DEG, vector(fault.axis)
         if self._block is not None:
             self._block.move(rate_radps, axis, fault.duration_s)

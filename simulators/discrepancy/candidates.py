@@ -52,11 +52,11 @@ USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 FITTED_PLACES = 30.0
 """What any other costs, of which there are as many as the data can tell apart: it stands for a bias as well."""
 REWIRED = frozenset({"sign_flip", "axis_swap"})
+"""Mistakes of wiring that have no size."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
-_PARALLEL = 1e-9  # share of a column by which another may be off a multiple of it, for rounding
 ACROSS_S = 4e-3
 """How near a turn's start or end is to a sample's edge that it may lie beyond it."""
 TIMING_SIGMA_S = 1e-3
@@ -182,7 +182,7 @@ class Library:
         return total
 
     def ratio(self, one: Hypothesis, two: Hypothesis) -> float | None:
-        """Return how many times the other's column is the one's, where they are parallel and each is all there is."""
+        """Return by what the second's column is multiplied to be the first's; none unless parallel and plain."""
         if not (one.is_plain and two.is_plain):
             return None
         first, second = self.columns[one.columns[0]].parts, self.columns[two.columns[0]].parts
@@ -324,7 +324,7 @@ class Library:
                 continue  # the same exchange as the other way about
             raw: list[tuple[Slot, Array]] = []
             for s, scene in enumerate(self.scenes):
-                wired = mend(scene.predicted, [Mistake(effect.name, channel, 1.0, 0.0, constant=False)])
+                wired = mend(scene.predicted, [Mistake(effect.name, channel)])
                 raw += [((s, c), wired[:, c] - scene.predicted[:, c]) for c in {one, two}]
             self.add(Kind.NAMED, effect.name, channel, [raw], unit_amplitude=True)
 
@@ -519,6 +519,7 @@ _REFERENCE = {
     "lever_arm": ("lever",),
 }
 _PLACES = {"bias_step": 200.0}
+_PARALLEL = 1e-9  # share of a column by which another may be off a multiple of it, for rounding
 
 
 def _thinned(inputs: Array) -> tuple[Array, Array]:

@@ -80,13 +80,13 @@ class InnerProducts:
 
     def of(self, ids: Sequence[int]) -> Products:
         """Return the products of columns with each other and with the residual."""
-        mine = tuple(i for i in ids if self._slot in self._columns[i].parts)
+        where = [place for place, i in enumerate(ids) if self._slot in self._columns[i].parts]
+        mine = tuple(ids[place] for place in where)
         found = self._at_hand.pop(mine, None) or self._gathered(mine)
         self._at_hand[mine] = found  # the last one asked for goes last
         if len(self._at_hand) > _KEPT:
             del self._at_hand[next(iter(self._at_hand))]
-        where = np.array([place for place, i in enumerate(ids) if self._slot in self._columns[i].parts], dtype=np.int64)
-        return Products(where, found.gram, found.with_residual)
+        return Products(np.array(where, dtype=np.int64), found.gram, found.with_residual)
 
     def _gathered(self, ids: tuple[int, ...]) -> Products:
         bins, count = len(self.residual2), len(ids)

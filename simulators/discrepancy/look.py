@@ -29,7 +29,7 @@ class Look:
     Parameters
     ----------
     evidence
-        With the library that they are from; trials that came to it later are looked at one by one.
+        With the library that they are from.
     current : the fit.
     noise : by slot, in which to look.
     """

@@ -295,7 +295,7 @@ def _wiring_finding(mistake: Mistake, search: Search) -> dict[str, Any]:
     count = sum(search.evidence.basis[s].n for s in slots)
     before = math.sqrt(after**2 + mistake.explained / max(count, 1))
     finding = _plain(mistake.effect, mistake.channel, values, 0.5 * mistake.explained, before, after)
-    behind = -bayes_factor(0.5 * mistake.explained, 1, 1.0) + 0.5 * mistake.explained
+    behind = 0.5 * mistake.explained - bayes_factor(0.5 * mistake.explained, 1, 1.0)
     if mistake.constant and mistake.effect != "axis_swap" and behind < TIE:  # a shift of just that size
         finding["alternatives"] = [{"effect": "bias_shift", "channel": mistake.channel, "behind_nats": behind}]
     return finding

@@ -35,9 +35,9 @@ class Mistake:
 
     effect: str
     channel: str
-    factor: float
-    explained: float
-    constant: bool
+    factor: float = 1.0
+    explained: float = 0.0
+    constant: bool = False
     """Whether the input stood still throughout, so that a shift of bias would look the same."""
 
 

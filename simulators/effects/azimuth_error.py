@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from simulators.effects.base import ChannelKind, Effect, Occasion, Parameter, Range, Stage
+from simulators.effects.base import ChannelKind, Occasion, Parameter, Range, SetupEffect
 from simulators.motion import Setup
 
 
-class AzimuthError(Effect):
+class AzimuthError(SetupEffect):
     """True azimuth = stated azimuth + error, clockwise from north. An east gyro bias looks the same at rest."""
 
     name = "azimuth_error"
     text = "The launcher's azimuth is not the one stated."
     term = "azimuth reference error"
-    stage = Stage.SETUP
     channels = ChannelKind.BLOCK
     parameters = (Parameter("error", "rad", "true less stated", {"any": Range(1e-4, 0.1)}),)
     shown_by = "rest at two headings a known angle apart"

@@ -170,12 +170,26 @@ class Effect(ABC):
         return tuple(name for name in CHANNELS if name[:-1] == sensor[:-1] and name != sensor)
 
     def arrange(self, setup: Setup, occasion: Occasion) -> Setup:  # noqa: ARG002
-        """Return the true set-up when ``setup`` is what is believed; only effects of the stage SETUP change it."""
+        """Return the true set-up when ``setup`` is what is believed; only a :class:`SetupEffect` changes it."""
         return setup
 
+    @abstractmethod
     def begin(self, occasion: Occasion) -> Step:
-        """Return what applies this effect to a stream of samples; SETUP effects have done all in :meth:`arrange`."""
-        raise NotImplementedError(f"{self.name} acts in stage {self.stage.name} and has nothing to apply to samples")
+        """Return what applies this effect to a stream of samples."""
+
+
+class SetupEffect(Effect):
+    """Effect on how the block stands and moves, and on nothing that comes after."""
+
+    stage = Stage.SETUP
+
+    @abstractmethod
+    def arrange(self, setup: Setup, occasion: Occasion) -> Setup:
+        """Return the true set-up when ``setup`` is what is believed."""
+
+    def begin(self, occasion: Occasion) -> Step:  # noqa: ARG002
+        """Leave the samples as they are: all is done by :meth:`arrange`."""
+        return lambda _seen, _readings: None
 
 
 class LinearEffect(Effect):

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from simulators.effects.base import ChannelKind, Effect, Occasion, Parameter, Range, Stage
+from simulators.effects.base import ChannelKind, Occasion, Parameter, Range, SetupEffect
 from simulators.motion import Setup
 
 
-class GravityError(Effect):
+class GravityError(SetupEffect):
     """True gravity = assumed gravity + error."""
 
     name = "gravity_error"
     text = "The site's gravity is not the one assumed."
     term = "gravity reference error (IEEE 1293)"
-    stage = Stage.SETUP
     channels = ChannelKind.BLOCK
     parameters = (Parameter("error", "m/s^2", "true less assumed", {"any": Range(1e-6, 1e-2)}),)
     shown_by = "positions: gravity along each accelerometer both ways"

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from simulators.effects.base import ChannelKind, Effect, Occasion, Parameter, Range, Stage
+from simulators.effects.base import ChannelKind, Occasion, Parameter, Range, SetupEffect
 from simulators.motion import Setup
 
 
-class LatitudeError(Effect):
+class LatitudeError(SetupEffect):
     """True latitude = stated latitude + error; gravity stays what the site says."""
 
     name = "latitude_error"
     text = "The site's latitude is not the one stated."
     term = "latitude error of the set-up"
-    stage = Stage.SETUP
     channels = ChannelKind.BLOCK
     parameters = (Parameter("error", "rad", "true less stated", {"any": Range(1e-5, 0.1)}),)
     shown_by = "rest, the azimuth known"

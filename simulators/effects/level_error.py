@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from inertial.attitude import rotation_matrix
-from simulators.effects.base import Array, ChannelKind, Effect, Occasion, Parameter, Range, Stage
+from simulators.effects.base import Array, ChannelKind, Occasion, Parameter, Range, SetupEffect
 from simulators.motion import Motion, Setup, Turn, Vector
 
 
-class LevelError(Effect):
+class LevelError(SetupEffect):
     """True attitude = R(tilt) · stated one, tilt a rotation vector about tangent axes 1 and 2.
 
     ``rides`` = 0: the error stays with the room (a tilted level reference), so axes fixed in the room tilt with it;
@@ -21,7 +21,6 @@ class LevelError(Effect):
     name = "level_error"
     text = "The launcher's level is not the one stated."
     term = "level reference error"
-    stage = Stage.SETUP
     channels = ChannelKind.BLOCK
     parameters = (
         Parameter("tilt_1", "rad", "about tangent axis 1", {"any": Range(1e-5, 1e-2)}),

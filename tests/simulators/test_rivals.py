@@ -11,6 +11,9 @@ from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 
 from simulators.discrepancy import adopt
 from simulators.discrepancy.adopt import MARGIN
+from simulators.discrepancy.candidates import Library
+from simulators.discrepancy.compare import compare
+from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.report import discrepancy
 
 ACCEL_SIGMA = WHITE["accel"] * np.sqrt(RATE_HZ)
@@ -97,6 +100,36 @@ def test_names_that_are_one_and_the_same_at_rest_take_one_place(monkeypatch: pyt
     assert {(name, "gyro_z") for name in names} <= told
     assert {(name, "gyro_z<-accel_z") for name in ("g_sensitivity", "g2_sensitivity")} <= told
     assert {("misalignment", "gyro_z<-gyro_x"), ("misalignment", "gyro_z<-gyro_y")} <= told
+
+
+def test_a_fit_shared_by_parallel_columns_is_the_fit_of_each() -> None:
+    """At rest a gyro's scale factor is a constant, Earth's rate times smaller than a shift of bias."""
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 5] += 1.5 * WHITE["gyro"]
+
+    case = recording(change, 99, moving=False)
+    evidence = Evidence(Library([compare(case, model())], only={("bias_shift", "gyro_z"), ("scale_factor", "gyro_z")}))
+    shift, scale = (
+        next(h for h in evidence.library.hypotheses if h.effect == effect) for effect in ("bias_shift", "scale_factor")
+    )
+    ratio = evidence.library.ratio(scale, shift)
+    assert ratio == pytest.approx(7.292115e-5 * np.sin(np.radians(closed_form.LATITUDE_DEG)), rel=1e-6)
+    shared = evidence.fit(shift.columns).with_parallel(shift.columns[0], scale.columns[0], ratio)
+    own = evidence.fit(scale.columns)
+    assert shared.ids == own.ids
+    np.testing.assert_allclose(shared.amplitude, own.amplitude, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(shared.covariance, own.covariance, rtol=1e-6, atol=1e-12 * own.covariance.max())
+
+
+def test_a_turned_sign_that_a_shift_could_only_match_by_chance_has_no_alternative() -> None:
+    """A shift of twice gravity, to the last of ten thousand σ, at a block that stands still."""
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 2] *= -1.0
+
+    (found,) = discrepancy([recording(change, 96, moving=False)], model()).findings
+    assert (found["effect"], found["channel"], found["alternatives"]) == ("sign_flip", "accel_z", [])
 
 
 @pytest.mark.parametrize("exchanged", [True, False])
