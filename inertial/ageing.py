@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 MONTH_DAYS = 30.4375
 JUMP = 1e3
 """σ of a step of unknown size, in median σ of the checks: so wide that it says nothing."""
-DRAWS, APART, BURN_IN, SHARED_MOVES = 64, 12, 150, 4
+DRAWS, APART, BURN_IN, SHARED_MOVES = 64, 24, 300, 4
 """Draws of the posterior that are handed on, sweeps of the chain between two of them and before the first; moves of
 what the axes share in a sweep, for that hangs together most."""
 JUMP_SCALE = 2.38
@@ -47,7 +47,12 @@ SHARED_MEAN = np.array([0.4, 0.4, 0.0, math.log(3.5), math.log(1000.0)])
 SHARED_SIGMA = np.array([1.0, 0.7, 0.1, 1.5, 1.5])
 """Prior of what the axes share: the law's decline, bend, onset and ln τ [months], to which power (bend 0) and
 exponential (1) are alike; and ln relaxation [months], most of which is a free walk to a few years of checks."""
-SHARED = len(SHARED_MEAN)
+BEND, SHARED = 1, len(SHARED_MEAN)
+BENDS = np.array([[0.2, SHARED_MEAN[BEND], SHARED_SIGMA[BEND]], [0.45, 0.0, 0.15], [0.35, 1.0, 0.2]])
+"""Prior of the bend: share, mean, σ of its parts. A fifth is what the bend may be at all; the rest lies about the
+powers of time (and the logarithm) and about the exponential, which are what storage is known to do. Two years of checks
+leave a ridge of bend and τ whose forecasts are years apart; all of them lean to one side of it where the laws with a
+name have no weight of their own."""
 SIZE_MEAN = np.array([0.0, math.log(3.0), 0.0, math.log(0.1), math.log(0.3)])
 SIZE_SIGMA = np.array([30.0, 2.0, 1.5, 1.5, 1.5])
 """Prior of mean, ln spread, ln offset, ln walk, ln scatter, in units of the checks' median σ; walk a √month."""
@@ -187,6 +192,20 @@ def _law(point: Array) -> DriftLaw:
     return DriftLaw(decline, bend, onset, math.exp(log_months))
 
 
+def _prior(shared: Array) -> tuple[float, Array]:
+    """Return the log prior density of what the axes share, up to a constant, and its slope."""
+    deviation = (shared - SHARED_MEAN) / SHARED_SIGMA
+    if np.any(np.abs(deviation) > FARTHEST):
+        return -math.inf, np.zeros(SHARED)
+    share, mean, sigma = BENDS.T
+    apart = (shared[BEND] - mean) / sigma
+    parts = share / sigma * np.exp(-0.5 * apart**2)
+    slope = -deviation / SHARED_SIGMA
+    slope[BEND] = -float(parts @ (apart / sigma)) / float(parts.sum())
+    deviation[BEND] = 0.0
+    return math.log(parts.sum()) - 0.5 * float(deviation @ deviation), slope
+
+
 class _Kind:
     """Log posterior of all axes of a kind at (what they share, five sizes for each axis)."""
 
@@ -225,11 +244,11 @@ class _Kind:
 
     def heights(self, point: Array) -> Array:
         """Return the parts of the log posterior: one for each axis, then the prior of what they share."""
-        deviation = (point[:SHARED] - SHARED_MEAN) / SHARED_SIGMA
-        if np.any(np.abs(deviation) > FARTHEST):
+        prior = _prior(point[:SHARED])[0]
+        if prior == -math.inf:
             return np.full(len(self.axes) + 1, -math.inf)
         own = [axis(self.of_axis(point, number)) for number, axis in enumerate(self.axes)]
-        return np.array([*own, -0.5 * float(deviation @ deviation)])
+        return np.array([*own, prior])
 
     def __call__(self, point: Array) -> float:
         """Return their sum."""
@@ -238,7 +257,7 @@ class _Kind:
     def gradient(self, point: Array) -> Array:
         """Return the slope by central differences, an axis at a time: nothing of one axis concerns another's sizes."""
         slope = np.zeros(len(point))
-        slope[:SHARED] = -(point[:SHARED] - SHARED_MEAN) / SHARED_SIGMA**2
+        slope[:SHARED] = _prior(point[:SHARED])[1]
         for number, axis in enumerate(self.axes):
             here = self.of_axis(point, number)
             for own, place in enumerate(self._places[number]):

@@ -24,8 +24,10 @@ LAWS: dict[str, Callable[[Array], Array]] = {
     "square_root": lambda t: np.sqrt(t / 12.0),
     "saturating": lambda t: (1.0 - np.exp(-t / 30.0)) / (1.0 - np.exp(-0.4)),
     "growing": lambda t: (t / 12.0) ** 1.3,
+    "stretched": lambda t: np.expm1(-np.sqrt(t / 30.0)) / np.expm1(-np.sqrt(12.0 / 30.0)),
 }
-"""Drift by months in storage, 1 after a year. The fitted family only comes near to the powers."""
+"""Drift by months in storage, 1 after a year. The fitted family only comes near to the powers, and to what relaxes as a
+stretched exponential (Kohlrausch)."""
 
 
 @dataclass(frozen=True)

@@ -60,3 +60,21 @@ def test_exponential_saturation_is_covered_within_the_binomial_band() -> None:
     low, high = binom.interval(0.999, len(inside), 0.9)
     assert len(inside) > 30
     assert low <= sum(inside) <= high
+
+
+def test_the_prior_prefers_laws_with_a_name_and_its_slope_is_its_derivative() -> None:
+    from inertial.ageing import BEND, SHARED_MEAN, _prior
+
+    def at(bend: float) -> np.ndarray:
+        point = SHARED_MEAN + 0.3
+        point[BEND] = bend
+        return np.asarray(point)
+
+    heights = {bend: _prior(at(bend))[0] for bend in (0.0, 0.5, 1.0)}
+    assert heights[0.0] > heights[0.5] < heights[1.0]
+    for bend in (-0.4, 0.0, 0.1, 0.5, 0.9, 1.7):
+        numeric = [
+            (_prior(at(bend) + shift)[0] - _prior(at(bend) - shift)[0]) / 2e-5 for shift in 1e-5 * np.eye(len(at(bend)))
+        ]
+        np.testing.assert_allclose(_prior(at(bend))[1], numeric, atol=1e-5)
+    assert _prior(SHARED_MEAN + 100.0)[0] == -np.inf
