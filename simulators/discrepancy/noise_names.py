@@ -1,8 +1,9 @@
-"""Noise larger than the model states: which term of IEEE 952 it is, or that it is of none of their colours."""
+"""Noise larger than the model states: which term of IEEE 952 it is, a mount that sways, or of none of their colours."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +13,9 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.mount_sway import Sway, find_sway, most_likely, start_of
 from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
-from simulators.discrepancy.whitening import ease, fit_noise
+from simulators.discrepancy.whitening import SWAY, WIDE, ease, fit_noise, whittle
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,8 @@ _LEVEL_SIGMAS = 3.0
 _MOST = 2  # terms of a channel
 _OF_TOTAL = 0.02  # of what they gain, which they may leave to noise of another colour
 _JOLTS = (0.7, 1.1, 21)  # shares of white noise that may be right when rounding goes with it: from, to, how many
+_STIRS = (0.1, 0.3, 1.0)  # shares of a sway's rate that may stir a readout in steps
+_NONE = np.zeros(0)
 _LOWER, _ODD = 0.9, 1.3  # of the power with named terms: noise that is less, and bins that have more
 
 
@@ -60,81 +64,180 @@ class OtherNoise:
     band_hz: tuple[float, float]
 
 
-def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> tuple[list[NoiseFinding], list[OtherNoise]]:
-    """Return the noise terms larger than stated, and channels whose noise is of no colour in the library."""
-    found: list[NoiseFinding] = []
-    other: list[OtherNoise] = []
-    for channel in range(len(CHANNELS)):
-        slots = [slot for slot in evidence.slots if slot[1] == channel and evidence.stated[slot] is not None]
-        if slots:
-            terms, strange = _of_channel(evidence, fit, slots, CHANNELS[channel], margin)
-            found += terms
-            other += strange
-    return found, other
+@dataclass(frozen=True)
+class NamedNoise:
+    """Terms larger than stated, noise of no colour in the library, and the sway of the mount that goes with them.
+
+    ``swaying``: the sway's power by slot (b,).
+    """
+
+    found: list[NoiseFinding]
+    other: list[OtherNoise]
+    sway: Sway | None
+    swaying: dict[Slot, Array]
+
+    @property
+    def evidence_nats(self) -> float:
+        """Return what all of it together explains."""
+        swayed = 0.0 if self.sway is None else sum(self.sway.evidence_nats.values())
+        return swayed + sum(one.score for one in self.found)
+
+
+def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> NamedNoise:
+    """Return what noise there is beyond what is stated.
+
+    Several channels that sway at one correlation time are the mount's and not the block's, if that explains more than
+    larger noise of each does.
+    """
+    slots = [slot for slot in evidence.slots if evidence.stated[slot] is not None]
+    block = _explained(evidence, fit, slots, None, margin)
+    if sum(fit.noise[slot].level in (SWAY, WIDE) for slot in slots) < 2:
+        return block
+    otherwise: dict[str, float] = {}
+    for one in block.found:
+        otherwise[one.channel] = otherwise.get(one.channel, 0.0) + one.score
+    sway = find_sway(evidence, fit, {slot: _eased(evidence, fit, slot) for slot in slots}, otherwise)
+    if sway is None:
+        return block
+    mount = _explained(evidence, fit, slots, sway, margin)
+    return mount if mount.evidence_nats > block.evidence_nats + margin else block
+
+
+def _explained(evidence: Evidence, fit: Fit, slots: list[Slot], sway: Sway | None, margin: float) -> NamedNoise:
+    named = NamedNoise([], [], sway, {})
+    for channel, name in enumerate(CHANNELS):
+        mine = [slot for slot in slots if slot[1] == channel]
+        if mine:
+            felt = sway is not None and name in sway.evidence_nats
+            columns = {slot: sway.columns[slot] for slot in mine} if sway is not None and felt else {}
+            terms, strange, swaying = _of_channel(evidence, fit, mine, columns, margin)
+            named.found.extend(terms)
+            named.other.extend(strange)
+            named.swaying.update(swaying)
+    return named
+
+
+def _eased(evidence: Evidence, fit: Fit, slot: Slot) -> Array:
+    """Return the stated power (b,), less where its samples leave less."""
+    stated = evidence.stated[slot]
+    assert stated is not None
+    return ease(stated, _free(evidence, fit, slot), evidence.eased[slot])
+
+
+def _free(evidence: Evidence, fit: Fit, slot: Slot) -> Array:
+    basis = evidence.basis[slot]
+    return fit_noise(basis, fit.rss[slot], basis.counts, None, evidence.floor[slot]).power
 
 
 def _of_channel(
-    evidence: Evidence, fit: Fit, slots: list[Slot], channel: str, margin: float
-) -> tuple[list[NoiseFinding], list[OtherNoise]]:
-    power: dict[Slot, Array] = {}
-    free: dict[Slot, Array] = {}
-    wide = 0.0
-    for slot in slots:
-        basis, rss, stated = evidence.basis[slot], fit.rss[slot], evidence.stated[slot]
-        assert stated is not None
-        free[slot] = fit_noise(basis, rss, basis.counts, None, evidence.floor[slot]).power
-        wide += _whittle(rss, basis.counts, free[slot])
-        power[slot] = ease(stated, free[slot], evidence.eased[slot])
+    evidence: Evidence, fit: Fit, slots: list[Slot], columns: dict[Slot, Array], margin: float
+) -> tuple[list[NoiseFinding], list[OtherNoise], dict[Slot, Array]]:
+    """Return the terms of a channel, its noise of another colour, and the power (b,) that a sway's columns have.
+
+    ``columns`` (b, k) of the sway by slot, if the channel feels one.
+    """
+    free = {slot: _free(evidence, fit, slot) for slot in slots}
+    wide = _total(evidence, fit, free)
+    power = {slot: _eased(evidence, fit, slot) for slot in slots}
+    swayed = _NONE
+    if columns:
+        power, swayed = _stirred(evidence, fit, power, columns)
+    still = columns or {slot: np.zeros((len(power[slot]), 0)) for slot in slots}
     scatter = max(evidence.scatter(slot) for slot in slots)
     tails = max(scatter, *(_tails(evidence, fit, slot) for slot in slots))
-    found, power = _named(evidence, fit, power, tails, margin)
+    found, power, swayed = _named(evidence, fit, power, still, swayed, tails, margin)
+    swaying = {slot: still[slot] @ swayed for slot in slots}
     if [one.effect for one in found] == ["random_walk"]:
-        found, power = _jolted(evidence, fit, found[0], power)
-    power = {slot: ease(p, free[slot], evidence.eased[slot]) for slot, p in power.items()}
-    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in power.items()})
+        found, power = _jolted(evidence, fit, found[0], power, swaying)
+    whole = {slot: ease(p + swaying[slot], free[slot], evidence.eased[slot]) for slot, p in power.items()}
+    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in whole.items()})
     total = sum(f.gain for f in found)
-    lower = all(np.median(fit.noise[slot].power / power[slot]) < _LOWER for slot in slots)
+    lower = all(np.median(fit.noise[slot].power / whole[slot]) < _LOWER for slot in slots)
     if gained / scatter < OTHER_COLOUR + _OF_TOTAL * total or lower:
-        return found, []
-    return [], [OtherNoise(channel, gained + total, _band_hz(evidence, fit, slots[0], power[slots[0]]))]
+        return found, [], swaying
+    return [], [OtherNoise(_channel_of(slots), gained + total, _band_hz(evidence, fit, slots[0], whole[slots[0]]))], {}
+
+
+def _stirred(
+    evidence: Evidence, fit: Fit, power: dict[Slot, Array], columns: dict[Slot, Array]
+) -> tuple[dict[Slot, Array], Array]:
+    """Return the power beside a sway and the sway's variances (k,).
+
+    A sway moves a readout in steps from one to the next and so whitens its rounding, as much as white noise of some
+    share of its size would.
+    """
+    best, variances = power, most_likely(evidence, fit, power, columns, start_of(evidence, fit, power, columns))
+    size = {slot: float(evidence.basis[slot].counts @ (columns[slot] @ variances)) for slot in power}
+    for share in _STIRS:
+        stirred = dict(power)
+        for slot in power:
+            basis = evidence.basis[slot]
+            rate = share**2 * size[slot] / basis.n
+            whiter = evidence.jolted(slot, math.sqrt(rate * basis.interval_s))
+            if whiter is not None:
+                stirred[slot] = whiter - rate
+        found = most_likely(evidence, fit, stirred, columns, variances)
+        if _total(evidence, fit, _summed(stirred, columns, found)) > _total(
+            evidence, fit, _summed(best, columns, variances)
+        ):
+            best, variances = stirred, found
+    return best, variances
 
 
 def _named(
-    evidence: Evidence, fit: Fit, power: dict[Slot, Array], tails: float, margin: float
-) -> tuple[list[NoiseFinding], dict[Slot, Array]]:
-    """Return the terms, two at most, that a channel has more of, and its power with them."""
+    evidence: Evidence,
+    fit: Fit,
+    power: dict[Slot, Array],
+    columns: dict[Slot, Array],
+    swayed: Array,
+    tails: float,
+    margin: float,
+) -> tuple[list[NoiseFinding], dict[Slot, Array], Array]:
+    """Return the terms, two at most, that a channel has more of, its power with them, and the sway's variances then."""
     found: list[NoiseFinding] = []
     steps = [step for slot in power if (step := coarser(evidence.library.scenes[slot[0]], slot[1])) is not None]
     as_stated = any(abs(step - 1.0) <= AS_STATED for step in steps)
     if steps and min(steps) > 1.0 + AS_STATED:
         coarse, power = _coarse(evidence, fit, power, min(steps))
         found = [coarse]
-    channel, value = next(CHANNELS[slot[1]] for slot in power), _total(evidence, fit, power)
+    value = _total(evidence, fit, _summed(power, columns, swayed))
     while len(found) < _MOST:
         trials = []
         for effect, (_, unit) in TERMS.items():
             if effect in [f.effect for f in found] or (effect == "quantisation" and as_stated):
                 continue
-            variance = _best(evidence, fit, power, unit)
-            changed = {slot: now + variance * evidence.basis[slot].stated(unit, 0.0) for slot, now in power.items()}
-            gain = _total(evidence, fit, changed) - value
+            units = {slot: evidence.basis[slot].stated(unit, 0.0) for slot in power}
+            beside = {slot: np.column_stack([columns[slot], units[slot]]) for slot in power}
+            start = np.append(swayed, _start(evidence, fit, _summed(power, columns, swayed), units))
+            variances = most_likely(evidence, fit, power, beside, start)
+            gain = _total(evidence, fit, _summed(power, beside, variances)) - value
             certain = gain / tails if effect in _OF_SAMPLES else gain
-            trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variance, changed))
+            trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variances, beside))
         trials.sort(key=lambda trial: -trial[0])
-        score, gain, effect, variance, changed = trials[0]
+        score, gain, effect, variances, beside = trials[0]
         if score < margin:
             break
         ties = tuple(t[2] for t in trials[1:] if t[0] > score - 3.0)
-        size = math.sqrt(variance)
-        sigma = _sigma(evidence, changed, TERMS[effect][1]) / (2.0 * size)
+        size = math.sqrt(float(variances[-1]))
+        sigma = _sigma(evidence, _summed(power, beside, variances), beside) / (2.0 * size)
         sigma *= math.sqrt(tails) if effect in _OF_SAMPLES else 1.0
-        found.append(NoiseFinding(effect, channel, size, sigma, gain, score, ties))
-        power, value = changed, value + gain
-    return found, power
+        found.append(NoiseFinding(effect, _channel_of(power), size, sigma, gain, score, ties))
+        power = {slot: now + variances[-1] * beside[slot][:, -1] for slot, now in power.items()}
+        swayed, value = variances[:-1], value + gain
+    return found, power, swayed
+
+
+def _channel_of(slots: Iterable[Slot]) -> str:
+    """Return the channel of slots that are all of one."""
+    return CHANNELS[next(iter(slots))[1]]
+
+
+def _summed(power: Mapping[Slot, Array], columns: Mapping[Slot, Array], variances: Array) -> dict[Slot, Array]:
+    return {slot: now + columns[slot] @ variances for slot, now in power.items()}
 
 
 def _jolted(
-    evidence: Evidence, fit: Fit, white: NoiseFinding, power: dict[Slot, Array]
+    evidence: Evidence, fit: Fit, white: NoiseFinding, power: dict[Slot, Array], swaying: dict[Slot, Array]
 ) -> tuple[list[NoiseFinding], dict[Slot, Array]]:
     """Return larger white noise, and the power with it, as the rounding that it jolts shows it, if that is likelier."""
 
@@ -142,9 +245,12 @@ def _jolted(
         jolted = {slot: evidence.jolted(slot, value) for slot in power}
         return {slot: now if (other := jolted[slot]) is None else other for slot, now in power.items()}
 
+    def likelihood(value: float) -> float:
+        return _total(evidence, fit, {slot: now + swaying[slot] for slot, now in with_more(value).items()})
+
     values = white.value * np.linspace(*_JOLTS)
-    value = max(values.tolist(), key=lambda one: _total(evidence, fit, with_more(one)))
-    if _total(evidence, fit, with_more(value)) > _total(evidence, fit, power):
+    value = max(values.tolist(), key=likelihood)
+    if likelihood(value) > _total(evidence, fit, {slot: now + swaying[slot] for slot, now in power.items()}):
         return [replace(white, value=value, sigma=white.sigma * white.value / value)], with_more(value)
     return [white], power
 
@@ -189,42 +295,23 @@ def _levelled(evidence: Evidence, fit: Fit, slot: Slot, power: Array, tails: flo
     return np.asarray(power * np.clip(level, 1.0 - off, 1.0 + off))
 
 
-def _whittle(rss: Array, counts: Array, power: Array) -> float:
-    """Return the log-likelihood of all but the mean, which tells of a bias and not of noise."""
-    rss, counts, power = rss[1:], counts[1:], power[1:]
-    return float(-0.5 * np.sum(counts * np.log(power) + rss / power))
+def _total(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array]) -> float:
+    return sum(whittle(fit.rss[slot], evidence.basis[slot].counts, p) for slot, p in power.items())
 
 
-def _total(evidence: Evidence, fit: Fit, power: dict[Slot, Array]) -> float:
-    return sum(_whittle(fit.rss[slot], evidence.basis[slot].counts, p) for slot, p in power.items())
+def _start(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array]) -> float:
+    """Return a variance of one term (b,) on top of ``power`` that is not too small, from which to climb."""
+    beyond = {s: np.maximum(fit.rss[s] / evidence.basis[s].counts - power[s], 0.0) / columns[s] for s in power}
+    least = 1e-6 * min(float(np.min(power[s] / columns[s])) for s in power)
+    return max(least, *(float(np.quantile(share, 0.3)) for share in beyond.values()))
 
 
-def _best(evidence: Evidence, fit: Fit, power: dict[Slot, Array], unit: ChannelNoise) -> float:
-    """Return the variance of one term that is most likely on top of ``power``, by Fisher scoring from above."""
-    columns = {slot: evidence.basis[slot].stated(unit, 0.0) for slot in power}
-    start = [
-        float(np.quantile(np.maximum(fit.rss[s] / evidence.basis[s].counts - power[s], 0.0) / columns[s], 0.3))
-        for s in power
-    ]
-    variance = max(*start, 1e-300) if len(start) > 1 else max(start[0], 1e-300)
-    variance = max(variance, 1e-6 * min(float(np.min(power[s] / columns[s])) for s in power))
-    for _ in range(200):
-        up = down = 0.0
-        for slot, column in columns.items():
-            now = power[slot] + variance * column
-            up += float(np.sum((column * fit.rss[slot] / now**2)[1:]))
-            down += float(np.sum((column * evidence.basis[slot].counts / now)[1:]))
-        ratio = up / down
-        variance *= ratio
-        if abs(ratio - 1.0) < 1e-5:
-            break
-    return variance
-
-
-def _sigma(evidence: Evidence, power: dict[Slot, Array], unit: ChannelNoise) -> float:
-    """Return the 1σ of the variance from its Fisher information."""
-    information = 0.0
-    for slot, now in power.items():
-        column = evidence.basis[slot].stated(unit, 0.0)
-        information += 0.5 * float(np.sum(evidence.basis[slot].counts * (column / now) ** 2))
-    return 1.0 / math.sqrt(information)
+def _sigma(evidence: Evidence, power: Mapping[Slot, Array], columns: Mapping[Slot, Array]) -> float:
+    """Return the 1σ of the last column's variance beside the others', from their Fisher information."""
+    information = sum(
+        0.5 * (columns[slot] * (evidence.basis[slot].counts / now**2)[:, None]).T @ columns[slot]
+        for slot, now in power.items()
+    )
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information * np.outer(scale, scale))
+    return float(scale[-1] * math.sqrt(inverse[-1, -1]))

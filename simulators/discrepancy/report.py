@@ -22,8 +22,9 @@ from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but_one
+from simulators.discrepancy.mount_sway import angle_rad
 from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
-from simulators.discrepancy.noise_names import TERMS, NoiseFinding, name_noise
+from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.rivals import with_rivals
@@ -134,16 +135,16 @@ def _report(
     held = HeldOut(evidence, search.fit)
     whole = held.gap()
     named, rejected = _kept(search, held)
-    noise, other_noise = name_noise(evidence, search.fit)
+    noise = name_noise(evidence, search.fit)
     silenced = {a.hypothesis.channel for a in named if isinstance(get_effect(a.hypothesis.effect), SampleEffect)}
-    unexplained = judge(search, named, other_noise, silenced | {one.channel for one in clipped})
+    unexplained = judge(search, named, noise.other, silenced | {one.channel for one in clipped})
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)
     findings += [_limit_finding(one, scenes) for one in clipped]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     no_noise = {term["channel"] for term in unexplained.unsteady} | silenced  # a dead band that comes and goes is noise
-    findings += [_noise_finding(n, search) for n in noise if n.channel not in no_noise]
+    findings += [_noise_finding(n, search) for n in noise.found if n.channel not in no_noise]
     verdict = "none"
     if unexplained.terms:
         verdict = "unknown"
@@ -161,7 +162,7 @@ def _report(
         "text": "",
         "findings": findings,
         "remaining": unexplained.document(),
-        "reference": [_reference(a, search.fit) for a in search.of_kind(Kind.REFERENCE)],
+        "reference": [_reference(a, search.fit) for a in search.of_kind(Kind.REFERENCE)] + _sway(noise),
         "rejected": rejected,
         "outliers": [asdict(one) for one in outliers],
         "gap": {
@@ -364,6 +365,24 @@ def _reference(adopted: Adopted, fit: Fit) -> dict[str, Any]:
         "values": [float(fit.amplitude[fit.ids.index(i)]) for i in h.columns],
         "text": _REFERENCE_TEXT[h.effect],
     }
+
+
+def _sway(noise: NamedNoise) -> list[dict[str, Any]]:
+    """Return the sway of the mount, if it does: σ of its angle [rad], if a gyro tells it, and correlation time [s]."""
+    if noise.sway is None:
+        return []
+    correlation_s = noise.sway.correlation_s
+    angle = angle_rad(noise.sway, noise.swaying)
+    size = "" if angle is None else f" by {angle * 1e6:.2g} µrad (1σ)"
+    return [
+        {
+            "error": "mount_sway",
+            "of": ", ".join(noise.sway.evidence_nats),
+            "evidence_nats": sum(noise.sway.evidence_nats.values()),
+            "values": ([] if angle is None else [angle]) + [correlation_s],
+            "text": f"the mount sways{size}, forgetting its angle within {correlation_s:.2g} s",
+        }
+    ]
 
 
 _REFERENCE_TEXT = {

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _SINGLE = 40
 _RATIO = 1.2
 _GM_RATIO = 3.5
-_SWAYS_S = 0.05  # no mount forgets its angle sooner; what does would pass for white noise
+SWAYS_S = 0.05  # no mount forgets its angle sooner; what does would pass for white noise
 _MEAN = 0.45  # where the mean is taken to stand in frequency: a random walk's has the variance at 0.55, with a margin
 _MOMENTS = 512  # at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
@@ -144,6 +144,14 @@ class Basis:
         tilt = np.sin(0.5 * omega) ** 2
         return np.asarray(12.0 * np.sum(tilt * error, axis=1) / np.sum(tilt, axis=1))
 
+    def sway(self, correlation_s: float, *, tilted: bool) -> Array:
+        """Return the power (b,) that a mount of unit variance adds which forgets its angle within so long.
+
+        As its rate [1/s], or ``tilted`` as its angle.
+        """
+        power = _sway(np.sin(self._x()) ** 2, math.exp(-self.interval_s / correlation_s), self.n, tilted=tilted)
+        return power if tilted else power / self.interval_s**2
+
     def _x(self) -> Array:
         middle = np.maximum(0.5 * (self.bounds[:-1] + self.bounds[1:] - 1), _MEAN)
         return np.asarray(0.5 * math.pi * middle / self.n)
@@ -183,11 +191,10 @@ def cosine_basis(n: int, interval_s: float, *, tilted: bool = False) -> Basis:
     correlation = 2.0
     while correlation < n / 8:
         decay = math.exp(-1.0 / correlation)
-        markov = (1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2)
-        columns.append(markov)
+        columns.append((1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2))
         names.append(f"markov {correlation * interval_s:.3g} s")
-        if correlation * interval_s > _SWAYS_S:
-            sway = markov**2 if tilted else 4.0 * (sine2 + _ends(decay, n)) * markov**2
+        if correlation * interval_s > SWAYS_S:
+            sway = _sway(sine2, decay, n, tilted=tilted)
             columns.append(sway / sway.max())
             names.append(f"sway {correlation * interval_s:.3g} s")
         correlation *= _GM_RATIO
@@ -195,14 +202,17 @@ def cosine_basis(n: int, interval_s: float, *, tilted: bool = False) -> Basis:
     return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s)
 
 
-def _ends(decay: float, n: int) -> float:
-    """Return what sin² of half the frequency must be raised by for a rate whose angle is a record's ends apart.
+def _sway(sine2: Array, decay: float, n: int, *, tilted: bool) -> Array:
+    """Return the power (b,), by variance of the angle, of an angle or of its change from one sample to the next.
 
+    ``sine2`` (b,): sin² of half the frequency, which for a change is raised as its angle is a record's ends apart.
     Summed by parts, the coefficients of a difference hold the values at both ends: twice the variance of the angle,
     each two in n of the power. That variance is the mean over all frequencies of the angle's power.
     """
+    markov = (1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2)
     variance = (1.0 + decay**2) / (1.0 - decay**2)
-    return variance / n * ((1.0 - decay) / (1.0 + decay)) ** 2
+    ends = variance / n * ((1.0 - decay) / (1.0 + decay)) ** 2
+    return np.asarray((1.0 if tilted else 4.0 * (sine2 + ends)) * markov**2 / variance)
 
 
 @dataclass(frozen=True)
@@ -252,7 +262,7 @@ def fit_noise(
         columns, typical = basis.families[level, shape is not None]
         variances = start / np.maximum(typical, 1e-300)
         variances[1:] *= 0.1
-        _climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
+        climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
         power = floor + columns @ variances
         cost = penalty[FLICKER if level == SWAY and not sways else level]
         value = _value(rss, freedom, power) - cost
@@ -276,13 +286,21 @@ def ease(stated: Array, found: Array, least: float) -> Array:
     return np.asarray(stated * np.clip(found / stated, least, 1.0))
 
 
+def whittle(rss: Array, counts: Array, power: Array) -> float:
+    """Return the log-likelihood of all but the mean, which tells of a bias and not of noise."""
+    return _value(rss[1:], counts[1:], power[1:])
+
+
 def _value(rss: Array, freedom: Array, power: Array) -> float:
     return float(-0.5 * np.sum(freedom * np.log(power) + rss / power))
 
 
 @compiled
-def _climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int, first: int) -> None:
-    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF)."""
+def climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int, first: int) -> None:
+    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF).
+
+    ``variances`` (k,) of the columns (b, k) of ``basis`` are changed in place; bins before ``first`` do not count.
+    """
     bins, terms = basis.shape
     for _ in range(rounds):
         up = np.zeros(terms)

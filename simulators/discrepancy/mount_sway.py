@@ -1,0 +1,122 @@
+"""A mount that sways: one random angle, felt by gyros as its rate and by accelerometers as gravity tilted.
+
+A launcher in the wind sways without mean: its angle forgets itself within a correlation time that all sensors share.
+What it adds to their noise looks on one gyro like bias instability and on one accelerometer like noise of no colour at
+all; that it is on several at once, at one correlation time, tells that it is not theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.candidates import Slot
+from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.whitening import SWAYS_S, climb, whittle
+
+Array = NDArray[np.float64]
+
+FEWEST = 2
+"""Channels that must feel a sway."""
+FELT = 3.0
+"""Evidence [nats] by which one of them feels it."""
+_GYROS = range(3, 6)
+_SHORTER = 8.0  # than a record, or it is drift
+_TIMES, _HALVED = 10, 4  # correlation times tried at first; how often the way between two of them is halved
+_START = 0.1  # of the most that the residual holds of a term, where the climb begins
+_ROUNDS = 300
+
+
+@dataclass(frozen=True)
+class Sway:
+    """A sway whose angle forgets itself within ``correlation_s``, and its power by slot (b, 1): for gyros that of
+    unit variance.
+
+    ``evidence_nats`` by channel that feels it, beside the noise stated.
+    """
+
+    correlation_s: float
+    columns: dict[Slot, Array]
+    evidence_nats: dict[str, float]
+
+
+def find_sway(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], otherwise: Mapping[str, float]) -> Sway | None:
+    """Return the sway that explains most of what slots have beyond a power (b,).
+
+    None where it explains too few channels better than noise of their own does, whose evidence [nats] ``otherwise`` is:
+    a channel that something else explains as well does not tell how the mount sways.
+    """
+    longest = min(evidence.basis[slot].n * evidence.basis[slot].interval_s for slot in power) / _SHORTER
+    times = np.geomspace(SWAYS_S, max(longest, 2.0 * SWAYS_S), _TIMES)
+    tried = {time: _at(evidence, fit, power, time) for time in times.tolist()}
+
+    def better(sway: Sway) -> list[float]:
+        return [max(nats - otherwise.get(channel, 0.0), 0.0) for channel, nats in sway.evidence_nats.items()]
+
+    width = math.log(times[1] / times[0])
+    for _ in range(_HALVED):
+        width *= 0.5
+        middle = max(tried, key=lambda time: sum(better(tried[time])))
+        for time in (middle * math.exp(-width), middle * math.exp(width)):
+            tried[time] = _at(evidence, fit, power, time)
+    best = max(tried.values(), key=lambda sway: sum(better(sway)))
+    return best if sum(nats > FELT for nats in better(best)) >= FEWEST else None
+
+
+def _at(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], correlation_s: float) -> Sway:
+    tilted = {slot: slot[1] not in _GYROS for slot in power}
+    columns = {slot: evidence.basis[slot].sway(correlation_s, tilted=tilted[slot])[:, None] for slot in power}
+    channels = {channel: [slot for slot in power if slot[1] == channel] for _, channel in power}
+    felt = {CHANNELS[channel]: _gain(evidence, fit, power, columns, slots) for channel, slots in channels.items()}
+    return Sway(correlation_s, columns, {channel: nats for channel, nats in felt.items() if nats > 0.0})
+
+
+def most_likely(
+    evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array], start: Array
+) -> Array:
+    """Return the variances (k,) of columns (b, k) on top of a power (b,) that are most likely, the means left out.
+
+    ``start`` (k,): where to begin; what is 0 stays so.
+    """
+    slots = list(power)
+    rows = np.ascontiguousarray(np.vstack([columns[slot][1:] for slot in slots]))
+    rss, floor = (np.concatenate([by_slot[slot][1:] for slot in slots]) for by_slot in (fit.rss, power))
+    counts = np.concatenate([evidence.basis[slot].counts[1:] for slot in slots])
+    variances = np.array(start, dtype=np.float64)
+    climb(rows, rss, counts, floor, variances, _ROUNDS, 0)
+    return variances
+
+
+def start_of(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array]) -> Array:
+    """Return where to begin with columns (b, k): a share of what is left, at the place where each is largest."""
+    largest = []
+    for slot, column in columns.items():
+        left = np.maximum(fit.rss[slot] / evidence.basis[slot].counts - power[slot], 0.01 * power[slot])
+        peak = np.argmax(column, axis=0)
+        largest.append(left[peak] / np.maximum(np.max(column, axis=0), 1e-300))
+    return np.asarray(_START * np.max(largest, axis=0))
+
+
+def angle_rad(sway: Sway, powers: Mapping[Slot, Array]) -> float | None:
+    """Return the angle's σ [rad], root mean square of what gyros feel by its power (b,); none where none feels it."""
+    squares = [float(np.sum(powers[slot]) / np.sum(sway.columns[slot])) for slot in powers if slot[1] in _GYROS]
+    return math.sqrt(float(np.mean(squares))) if squares else None
+
+
+def _gain(
+    evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array], slots: Sequence[Slot]
+) -> float:
+    """Return the Bayes factor [nats] of a sway on a channel's slots, or less than 0."""
+    mine, swaying = {slot: power[slot] for slot in slots}, {slot: columns[slot] for slot in slots}
+    variances = most_likely(evidence, fit, mine, swaying, start_of(evidence, fit, mine, swaying))
+    gained = sum(
+        whittle(fit.rss[slot], evidence.basis[slot].counts, mine[slot] + swaying[slot] @ variances)
+        - whittle(fit.rss[slot], evidence.basis[slot].counts, mine[slot])
+        for slot in slots
+    )
+    return bayes_factor(gained, len(variances), 1.0)

@@ -1,0 +1,94 @@
+"""A mount that sways: told from noise of the block, which is not made to bear it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from closed_form import DURATION_S, RATE_HZ, WHITE, Change, Truth, model, recording
+from scipy.signal import lfilter
+
+from simulators.discrepancy.report import Report, discrepancy
+
+GYRO_SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
+ANGLE_RAD, CORRELATION_S = 20e-6, 0.3
+
+
+def angle(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return a smooth random angle: white noise through two equal lags, which forgets itself within a few."""
+    keep, lead = math.exp(-1.0 / (RATE_HZ * CORRELATION_S)), round(20.0 * CORRELATION_S * RATE_HZ)
+    smooth = lfilter([1.0], [1.0, -2.0 * keep, keep**2], rng.standard_normal(count + lead))[lead:]
+    return np.asarray(smooth * ANGLE_RAD / math.sqrt((1.0 + keep**2) / (1.0 - keep**2) ** 3))
+
+
+def sway(seed: int, *more: Change) -> Change:
+    """Return what a swaying mount does to all readings at rest: rates, and specific force tilted against the block."""
+    rng = np.random.default_rng([seed, 1])
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        count = len(true["t"])
+        edges = np.column_stack([angle(rng, count + 1) for _ in range(3)])
+        force = readings[:, :3].mean(axis=0)
+        readings[:, 3:] += np.diff(edges, axis=0) * RATE_HZ
+        readings[:, :3] -= np.cross(0.5 * (edges[1:] + edges[:-1]), force)
+        for one in more:
+            one(true, readings)
+
+    return change
+
+
+def swaying(report: Report) -> list[dict[str, object]]:
+    return [one for one in report.document["reference"] if one["error"] == "mount_sway"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_swaying_mount_is_found_with_its_size_and_no_noise_of_the_block(seed: int) -> None:
+    """Of its angle some 3·T/(4τ) values are independent, and of each kind of figure 4σ of that are allowed."""
+    report = discrepancy([recording(sway(seed), 300 + seed, moving=False)], model())
+    assert report.verdict == "none", report.document["text"]
+    (found,) = swaying(report)
+    off = 4.0 / math.sqrt(2.0 * 3.0 * DURATION_S / (4.0 * CORRELATION_S))
+    angle_rad, correlation_s = found["values"]
+    assert angle_rad == pytest.approx(ANGLE_RAD, rel=off)
+    assert correlation_s == pytest.approx(CORRELATION_S, rel=off)
+    assert "the mount sways" in report.document["text"]
+    assert report.model.effects == model().effects
+
+
+def test_noise_of_that_colour_on_one_gyro_is_no_mount() -> None:
+    def change(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 4] += np.diff(angle(np.random.default_rng(5), len(true["t"]) + 1)) * RATE_HZ
+
+    report = discrepancy([recording(change, 310, moving=False)], model())
+    assert report.verdict != "none"
+    assert swaying(report) == []
+
+
+def test_a_walk_of_one_gyro_is_named_beside_the_sway() -> None:
+    rng = np.random.default_rng(6)
+
+    def walk(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += 0.1 * GYRO_SIGMA * np.cumsum(rng.standard_normal(len(true["t"])))
+
+    report = discrepancy([recording(sway(7, walk), 311, moving=False)], model())
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("rate_random_walk", "gyro_x")]
+    assert len(swaying(report)) == 1
+
+
+def test_flicker_of_all_gyros_is_bias_instability_and_no_mount() -> None:
+    rng = np.random.default_rng(8)
+
+    def flicker(true: Truth, readings: np.ndarray) -> None:
+        count = len(true["t"])
+        for column in range(3, 6):
+            spectrum = np.fft.rfft(rng.standard_normal(count))
+            spectrum[1:] /= np.sqrt(np.fft.rfftfreq(count, 1.0 / RATE_HZ)[1:])
+            spectrum[0] = 0.0
+            readings[:, column] += 1.0 * GYRO_SIGMA * np.fft.irfft(spectrum, count)
+
+    report = discrepancy([recording(flicker, 312, moving=False)], model())
+    assert swaying(report) == []
+    assert {(one["effect"], one["channel"]) for one in report.findings} == {
+        ("bias_instability", f"gyro_{axis}") for axis in "xyz"
+    }
