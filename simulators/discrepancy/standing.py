@@ -57,6 +57,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         increment = data.sent[came, column]
         said = scene.predicted[came, column] * interval[came]
         off = scene.measured[came, column] * interval[came] - said
+        off[changing[came]] = np.median(off)  # that a turn ends late is no reading that stood still
         white = getattr(scene.model.noise, channel).white * (FREE_SHARE if scene.model.noise.free else 1.0)
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
         shaken = _vibrated(scene, column)[came] * interval[came]

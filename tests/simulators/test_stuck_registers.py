@@ -125,3 +125,19 @@ def test_the_crest_of_a_swing_in_coarse_steps_is_no_stuck_register() -> None:
 
         case = coarse(recording(swing, 79 + seed, moving=False), mean_steps=7.3)
         assert find_stuck(compare(case, model()))[1] == []
+
+
+def test_a_coarse_reading_of_a_turn_that_ends_late_is_no_stuck_register() -> None:
+    """The rate is whole steps, so that readings repeat; only in the last of them did more come than the stated turn."""
+    step = np.radians(18.0) / RATE_HZ / 2344.0
+    for seed in range(4):
+        case = recording(None, 90 + seed)
+        samples = case.samples
+        steps = samples["dtheta"][:, 2] / step
+        steps += 2344.0 - steps[(samples["time"] > 81.0) & (samples["time"] < 99.0)].mean()
+        samples["dtheta"][:, 2] = np.diff(np.rint(np.cumsum(steps)), prepend=0.0) * step
+        meta = case.meta.model_dump(exclude_none=True)
+        for turn in meta["motion"]:
+            turn["end_s"] -= 0.012
+        late = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+        assert find_stuck(compare(late, model()))[1] == []
