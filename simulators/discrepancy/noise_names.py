@@ -13,7 +13,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
-from simulators.discrepancy.mount_sway import Sway, find_sway, most_likely, start_of
+from simulators.discrepancy.mount_sway import FEWEST, Sway, find_sway, most_likely, start_of
 from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
 from simulators.discrepancy.whitening import SWAY, WIDE, ease, fit_noise, whittle
 
@@ -87,20 +87,29 @@ def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> NamedNoi
     """Return what noise there is beyond what is stated.
 
     Several channels that sway at one correlation time are the mount's and not the block's, if that explains more than
-    larger noise of each does.
+    larger noise of each does, named or of a colour of its own.
     """
     slots = [slot for slot in evidence.slots if evidence.stated[slot] is not None]
     block = _explained(evidence, fit, slots, None, margin)
-    if sum(fit.noise[slot].level in (SWAY, WIDE) for slot in slots) < 2:
+    if sum(fit.noise[slot].level in (SWAY, WIDE) for slot in slots) < FEWEST:
         return block
-    otherwise: dict[str, float] = {}
-    for one in block.found:
-        otherwise[one.channel] = otherwise.get(one.channel, 0.0) + one.score
-    sway = find_sway(evidence, fit, {slot: _eased(evidence, fit, slot) for slot in slots}, otherwise)
+    power = {slot: _eased(evidence, fit, slot) for slot in slots}
+    sway = find_sway(evidence, fit, power, _of_their_own(evidence, fit, power, block))
     if sway is None:
         return block
     mount = _explained(evidence, fit, slots, sway, margin)
     return mount if mount.evidence_nats > block.evidence_nats + margin else block
+
+
+def _of_their_own(evidence: Evidence, fit: Fit, power: dict[Slot, Array], block: NamedNoise) -> dict[str, float]:
+    """Return the evidence [nats] of noise that each channel has of its own: terms with a name, or any colour."""
+    found = {}
+    for channel in {slot[1] for slot in power}:
+        mine = {slot: now for slot, now in power.items() if slot[1] == channel}
+        free = _total(evidence, fit, {slot: _free(evidence, fit, slot) for slot in mine}) - _total(evidence, fit, mine)
+        named = sum(one.score for one in block.found if one.channel == CHANNELS[channel])
+        found[CHANNELS[channel]] = max(free - OTHER_COLOUR, named)
+    return found
 
 
 def _explained(evidence: Evidence, fit: Fit, slots: list[Slot], sway: Sway | None, margin: float) -> NamedNoise:
@@ -108,8 +117,8 @@ def _explained(evidence: Evidence, fit: Fit, slots: list[Slot], sway: Sway | Non
     for channel, name in enumerate(CHANNELS):
         mine = [slot for slot in slots if slot[1] == channel]
         if mine:
-            felt = sway is not None and name in sway.evidence_nats
-            columns = {slot: sway.columns[slot] for slot in mine} if sway is not None and felt else {}
+            felt = sway.columns if sway is not None and name in sway.evidence_nats else {}
+            columns = {slot: felt[slot] for slot in mine if slot in felt}
             terms, strange, swaying = _of_channel(evidence, fit, mine, columns, margin)
             named.found.extend(terms)
             named.other.extend(strange)

@@ -92,3 +92,16 @@ def test_flicker_of_all_gyros_is_bias_instability_and_no_mount() -> None:
     assert {(one["effect"], one["channel"]) for one in report.findings} == {
         ("bias_instability", f"gyro_{axis}") for axis in "xyz"
     }
+
+
+def test_noise_of_all_gyros_that_is_no_change_of_an_angle_is_no_mount() -> None:
+    """First-order Gauss-Markov noise: flat at low frequencies, where the rate of an angle without mean has no power."""
+    rng, keep = np.random.default_rng(9), math.exp(-1.0 / (RATE_HZ * 2.0 * CORRELATION_S))
+
+    def markov(true: Truth, readings: np.ndarray) -> None:
+        drive = rng.standard_normal((len(true["t"]), 3)) * 2.0 * GYRO_SIGMA * math.sqrt(1.0 - keep**2)
+        readings[:, 3:] += lfilter([1.0], [1.0, -keep], drive, axis=0)
+
+    report = discrepancy([recording(markov, 313, moving=False)], model())
+    assert swaying(report) == []
+    assert report.verdict != "none"
