@@ -57,11 +57,12 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         increment = data.sent[came, column]
         said = scene.predicted[came, column] * interval[came]
         off = scene.measured[came, column] * interval[came] - said
-        off[changing[came]] = np.median(off)  # that a turn ends late is no reading that stood still
         white = getattr(scene.model.noise, channel).white * (FREE_SHARE if scene.model.noise.free else 1.0)
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
         shaken = _vibrated(scene, column)[came] * interval[came]
-        for first, last in _standing(increment, off, said, white_by_model, shaken):
+        # That a turn ends late is no reading that stood still.
+        settled = np.where(changing[came], np.median(off), off)
+        for first, last in _standing(increment, (off, settled), said, white_by_model, shaken):
             start, end = int(came[first]), int(came[last])
             if last - first + 1 < _SHORT_RUN and changing[start]:
                 continue  # a turn that came late stands still for as long
@@ -91,13 +92,17 @@ def _jolts(shaken: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> 
     return np.asarray(np.sqrt(np.minimum(*sides) / _BESIDE))
 
 
-def _standing(increment: Array, off: Array, said: Array, white_by_model: float, shaken: Array) -> list[tuple[int, int]]:
+def _standing(
+    increment: Array, offs: tuple[Array, Array], said: Array, white_by_model: float, shaken: Array
+) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``off`` is by how much each increment is off the prediction, ``said``; ``white_by_model``: the σ of a sample's white
-    noise, for what goes on slowly beside it does not break runs; ``shaken`` (n,) is by how much a vibration changes
-    them from sample to sample: its course is not known but by the readings.
+    ``offs`` is by how much each increment is off the prediction, ``said``, as it is and without the ends of turns;
+    ``white_by_model``: the σ of a sample's white noise, for what goes on slowly beside it does not break runs;
+    ``shaken`` (n,) is by how much a vibration changes them from sample to sample: its course is not known but by the
+    readings.
     """
+    off = offs[0]
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
         return []
@@ -122,7 +127,7 @@ def _standing(increment: Array, off: Array, said: Array, white_by_model: float, 
     candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
     found = []
     for a, b, chance in zip(first[candidate], last[candidate], longest[candidate], strict=True):
-        astray = _astray(off, int(a), int(b), step, noise)
+        astray = min(_astray(one, int(a), int(b), step, noise) for one in offs)
         short = b - a < _SHORT_RUN
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
