@@ -34,8 +34,7 @@ _ROUNDS = 300
 
 @dataclass(frozen=True)
 class Sway:
-    """A sway whose angle forgets itself within ``correlation_s``, and its power by slot (b, 1): for gyros that of
-    unit variance.
+    """A sway whose angle forgets itself within ``correlation_s``, and its power by slot (b, 1), on gyros by variance.
 
     ``evidence_nats`` by channel that feels it, beside the noise stated.
     """
@@ -55,17 +54,28 @@ def find_sway(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], otherwi
     times = np.geomspace(SWAYS_S, max(longest, 2.0 * SWAYS_S), _TIMES)
     tried = {time: _at(evidence, fit, power, time) for time in times.tolist()}
 
-    def better(sway: Sway) -> list[float]:
-        return [max(nats - otherwise.get(channel, 0.0), 0.0) for channel, nats in sway.evidence_nats.items()]
-
     width = math.log(times[1] / times[0])
     for _ in range(_HALVED):
         width *= 0.5
-        middle = max(tried, key=lambda time: sum(better(tried[time])))
+        middle = max(tried, key=lambda time: _merit(tried[time], otherwise))
         for time in (middle * math.exp(-width), middle * math.exp(width)):
             tried[time] = _at(evidence, fit, power, time)
-    best = max(tried.values(), key=lambda sway: sum(better(sway)))
-    return best if sum(nats > FELT for nats in better(best)) >= FEWEST else None
+    best = max(tried.values(), key=lambda sway: _merit(sway, otherwise))
+    return best if sum(nats > FELT for nats in _beyond(best, otherwise)) >= FEWEST else None
+
+
+def _beyond(sway: Sway, otherwise: Mapping[str, float]) -> list[float]:
+    """Return by how much [nats] a sway explains each channel better than noise of its own."""
+    return [sway.evidence_nats.get(channel, 0.0) - nats for channel, nats in otherwise.items()]
+
+
+def _merit(sway: Sway, otherwise: Mapping[str, float]) -> float:
+    """Return what a sway explains better, less the logarithms of what it explains worse.
+
+    So a channel that another noise fills does not decide, and a correlation time that is only about right is told from
+    one that is far off.
+    """
+    return sum(nats if nats > 0.0 else -math.log1p(-nats) for nats in _beyond(sway, otherwise))
 
 
 def _at(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], correlation_s: float) -> Sway:

@@ -15,20 +15,20 @@ GYRO_SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
 ANGLE_RAD, CORRELATION_S = 20e-6, 0.3
 
 
-def angle(rng: np.random.Generator, count: int) -> np.ndarray:
+def angle(rng: np.random.Generator, count: int, correlation_s: float = CORRELATION_S) -> np.ndarray:
     """Return a smooth random angle: white noise through two equal lags, which forgets itself within a few."""
-    keep, lead = math.exp(-1.0 / (RATE_HZ * CORRELATION_S)), round(20.0 * CORRELATION_S * RATE_HZ)
+    keep, lead = math.exp(-1.0 / (RATE_HZ * correlation_s)), round(20.0 * correlation_s * RATE_HZ)
     smooth = lfilter([1.0], [1.0, -2.0 * keep, keep**2], rng.standard_normal(count + lead))[lead:]
     return np.asarray(smooth * ANGLE_RAD / math.sqrt((1.0 + keep**2) / (1.0 - keep**2) ** 3))
 
 
-def sway(seed: int, *more: Change) -> Change:
+def sway(seed: int, *more: Change, times: float = 1.0, correlation_s: float = CORRELATION_S) -> Change:
     """Return what a swaying mount does to all readings at rest: rates, and specific force tilted against the block."""
     rng = np.random.default_rng([seed, 1])
 
     def change(true: Truth, readings: np.ndarray) -> None:
         count = len(true["t"])
-        edges = np.column_stack([angle(rng, count + 1) for _ in range(3)])
+        edges = times * np.column_stack([angle(rng, count + 1, correlation_s) for _ in range(3)])
         force = readings[:, :3].mean(axis=0)
         readings[:, 3:] += np.diff(edges, axis=0) * RATE_HZ
         readings[:, :3] -= np.cross(0.5 * (edges[1:] + edges[:-1]), force)
@@ -54,6 +54,17 @@ def test_a_swaying_mount_is_found_with_its_size_and_no_noise_of_the_block(seed: 
     assert correlation_s == pytest.approx(CORRELATION_S, rel=off)
     assert "the mount sways" in report.document["text"]
     assert report.model.effects == model().effects
+
+
+@pytest.mark.parametrize("correlation_s", [0.2, 0.45, 0.75, 1.6])
+def test_the_strongest_sway_is_found_at_whatever_correlation_time(correlation_s: float) -> None:
+    """Two milliradians: at a correlation time that is off by a tenth any other colour would explain far more."""
+    change = sway(3, times=100.0, correlation_s=correlation_s)
+    report = discrepancy([recording(change, 320, moving=False)], model())
+    (found,) = swaying(report)
+    off = 4.0 / math.sqrt(2.0 * 3.0 * DURATION_S / (4.0 * correlation_s))
+    assert found["values"] == pytest.approx([100.0 * ANGLE_RAD, correlation_s], rel=off)
+    assert report.findings == []
 
 
 def test_noise_of_that_colour_on_one_gyro_is_no_mount() -> None:
