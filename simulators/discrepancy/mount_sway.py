@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
-from simulators.discrepancy.whitening import SWAYS_S, climb, whittle
+from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
+from simulators.discrepancy.whitening import SWAYS_S
 
 Array = NDArray[np.float64]
 
@@ -28,14 +29,13 @@ FELT = 3.0
 _GYROS = range(3, 6)
 _SHORTER = 8.0  # than a record, or it is drift
 _TIMES, _HALVED = 10, 4  # correlation times tried at first; how often the way between two of them is halved
-_START = 0.1  # of the most that the residual holds of a term, where the climb begins
-_ROUNDS = 300
 
 
 @dataclass(frozen=True)
 class Sway:
-    """A sway whose angle forgets itself within ``correlation_s``, and its power by slot (b, 1), on gyros by variance.
+    """A sway whose angle forgets itself within ``correlation_s``, and the power by slot (b, 1) that it adds.
 
+    On gyros as rate [1/s²] by variance of the angle [rad²], on accelerometers as the angle itself, gravity left out.
     ``evidence_nats`` by channel that feels it, beside the noise stated.
     """
 
@@ -86,32 +86,6 @@ def _at(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], correlation_s
     return Sway(correlation_s, columns, {channel: nats for channel, nats in felt.items() if nats > 0.0})
 
 
-def most_likely(
-    evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array], start: Array
-) -> Array:
-    """Return the variances (k,) of columns (b, k) on top of a power (b,) that are most likely, the means left out.
-
-    ``start`` (k,): where to begin; what is 0 stays so.
-    """
-    slots = list(power)
-    rows = np.ascontiguousarray(np.vstack([columns[slot][1:] for slot in slots]))
-    rss, floor = (np.concatenate([by_slot[slot][1:] for slot in slots]) for by_slot in (fit.rss, power))
-    counts = np.concatenate([evidence.basis[slot].counts[1:] for slot in slots])
-    variances = np.array(start, dtype=np.float64)
-    climb(rows, rss, counts, floor, variances, _ROUNDS, 0)
-    return variances
-
-
-def start_of(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array]) -> Array:
-    """Return where to begin with columns (b, k): a share of what is left, at the place where each is largest."""
-    largest = []
-    for slot, column in columns.items():
-        left = np.maximum(fit.rss[slot] / evidence.basis[slot].counts - power[slot], 0.01 * power[slot])
-        peak = np.argmax(column, axis=0)
-        largest.append(left[peak] / np.maximum(np.max(column, axis=0), 1e-300))
-    return np.asarray(_START * np.max(largest, axis=0))
-
-
 def angle_rad(sway: Sway, powers: Mapping[Slot, Array]) -> float | None:
     """Return the angle's σ [rad], root mean square of what gyros feel by its power (b,); none where none feels it."""
     squares = [float(np.sum(powers[slot]) / np.sum(sway.columns[slot])) for slot in powers if slot[1] in _GYROS]
@@ -124,9 +98,6 @@ def _gain(
     """Return the Bayes factor [nats] of a sway on a channel's slots, or less than 0."""
     mine, swaying = {slot: power[slot] for slot in slots}, {slot: columns[slot] for slot in slots}
     variances = most_likely(evidence, fit, mine, swaying, start_of(evidence, fit, mine, swaying))
-    gained = sum(
-        whittle(fit.rss[slot], evidence.basis[slot].counts, mine[slot] + swaying[slot] @ variances)
-        - whittle(fit.rss[slot], evidence.basis[slot].counts, mine[slot])
-        for slot in slots
-    )
+    swayed = {slot: now + swaying[slot] @ variances for slot, now in mine.items()}
+    gained = log_likelihood(evidence, fit, swayed) - log_likelihood(evidence, fit, mine)
     return bayes_factor(gained, len(variances), 1.0)

@@ -13,9 +13,10 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
-from simulators.discrepancy.mount_sway import FEWEST, Sway, find_sway, most_likely, start_of
+from simulators.discrepancy.mount_sway import FEWEST, Sway, find_sway
+from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
 from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
-from simulators.discrepancy.whitening import SWAY, WIDE, ease, fit_noise, whittle
+from simulators.discrepancy.whitening import SWAY, WIDE, ease, fit_noise
 
 Array = NDArray[np.float64]
 
@@ -106,7 +107,9 @@ def _of_their_own(evidence: Evidence, fit: Fit, power: dict[Slot, Array], block:
     found = {}
     for channel in {slot[1] for slot in power}:
         mine = {slot: now for slot, now in power.items() if slot[1] == channel}
-        free = _total(evidence, fit, {slot: _free(evidence, fit, slot) for slot in mine}) - _total(evidence, fit, mine)
+        free = log_likelihood(evidence, fit, {slot: _free(evidence, fit, slot) for slot in mine}) - log_likelihood(
+            evidence, fit, mine
+        )
         named = sum(one.score for one in block.found if one.channel == CHANNELS[channel])
         found[CHANNELS[channel]] = max(free - OTHER_COLOUR, named)
     return found
@@ -146,7 +149,7 @@ def _of_channel(
     ``columns`` (b, k) of the sway by slot, if the channel feels one.
     """
     free = {slot: _free(evidence, fit, slot) for slot in slots}
-    wide = _total(evidence, fit, free)
+    wide = log_likelihood(evidence, fit, free)
     power = {slot: _eased(evidence, fit, slot) for slot in slots}
     swayed = _NONE
     if columns:
@@ -159,7 +162,9 @@ def _of_channel(
     if [one.effect for one in found] == ["random_walk"]:
         found, power = _jolted(evidence, fit, found[0], power, swaying)
     whole = {slot: ease(p + swaying[slot], free[slot], evidence.eased[slot]) for slot, p in power.items()}
-    gained = wide - _total(evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in whole.items()})
+    gained = wide - log_likelihood(
+        evidence, fit, {slot: _levelled(evidence, fit, slot, p, tails) for slot, p in whole.items()}
+    )
     total = sum(f.gain for f in found)
     lower = all(np.median(fit.noise[slot].power / whole[slot]) < _LOWER for slot in slots)
     if gained / scatter < OTHER_COLOUR + _OF_TOTAL * total or lower:
@@ -186,7 +191,7 @@ def _stirred(
             if whiter is not None:
                 stirred[slot] = whiter - rate
         found = most_likely(evidence, fit, stirred, columns, variances)
-        if _total(evidence, fit, _summed(stirred, columns, found)) > _total(
+        if log_likelihood(evidence, fit, _summed(stirred, columns, found)) > log_likelihood(
             evidence, fit, _summed(best, columns, variances)
         ):
             best, variances = stirred, found
@@ -209,7 +214,7 @@ def _named(
     if steps and min(steps) > 1.0 + AS_STATED:
         coarse, power = _coarse(evidence, fit, power, min(steps))
         found = [coarse]
-    value = _total(evidence, fit, _summed(power, columns, swayed))
+    value = log_likelihood(evidence, fit, _summed(power, columns, swayed))
     while len(found) < _MOST:
         trials = []
         for effect, (_, unit) in TERMS.items():
@@ -219,7 +224,7 @@ def _named(
             beside = {slot: np.column_stack([columns[slot], units[slot]]) for slot in power}
             start = np.append(swayed, _start(evidence, fit, _summed(power, columns, swayed), units))
             variances = most_likely(evidence, fit, power, beside, start)
-            gain = _total(evidence, fit, _summed(power, beside, variances)) - value
+            gain = log_likelihood(evidence, fit, _summed(power, beside, variances)) - value
             certain = gain / tails if effect in _OF_SAMPLES else gain
             trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variances, beside))
         trials.sort(key=lambda trial: -trial[0])
@@ -255,11 +260,11 @@ def _jolted(
         return {slot: now if (other := jolted[slot]) is None else other for slot, now in power.items()}
 
     def likelihood(value: float) -> float:
-        return _total(evidence, fit, {slot: now + swaying[slot] for slot, now in with_more(value).items()})
+        return log_likelihood(evidence, fit, {slot: now + swaying[slot] for slot, now in with_more(value).items()})
 
     values = white.value * np.linspace(*_JOLTS)
     value = max(values.tolist(), key=likelihood)
-    if likelihood(value) > _total(evidence, fit, {slot: now + swaying[slot] for slot, now in power.items()}):
+    if likelihood(value) > log_likelihood(evidence, fit, {slot: now + swaying[slot] for slot, now in power.items()}):
         return [replace(white, value=value, sigma=white.sigma * white.value / value)], with_more(value)
     return [white], power
 
@@ -282,9 +287,9 @@ def _coarse(
     changed = {slot: now + beyond**2 * evidence.basis[slot].stated(unit, 0.0) for slot, now in power.items()}
     larger = getattr(scene.model.noise, CHANNELS[column]).model_copy(update={"quantisation": times * stated})
     read = {slot: evidence.read_with(slot, larger) for slot in power}
-    changed = max(changed, read, key=lambda one: _total(evidence, fit, one))
+    changed = max(changed, read, key=lambda one: log_likelihood(evidence, fit, one))
     sigma = last_place(column) * times * stated / beyond
-    gain = _total(evidence, fit, changed) - _total(evidence, fit, power)
+    gain = log_likelihood(evidence, fit, changed) - log_likelihood(evidence, fit, power)
     return NoiseFinding("quantisation", CHANNELS[column], beyond, sigma, gain, max(gain, SEEN), ()), changed
 
 
@@ -302,10 +307,6 @@ def _levelled(evidence: Evidence, fit: Fit, slot: Slot, power: Array, tails: flo
     off = _LEVEL_SIGMAS * math.sqrt(2.0 * tails / float(counts.sum()))
     level = float(np.sum(fit.rss[slot] / power) / counts.sum())
     return np.asarray(power * np.clip(level, 1.0 - off, 1.0 + off))
-
-
-def _total(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array]) -> float:
-    return sum(whittle(fit.rss[slot], evidence.basis[slot].counts, p) for slot, p in power.items())
 
 
 def _start(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], columns: Mapping[Slot, Array]) -> float:

@@ -58,7 +58,7 @@ def test_a_swaying_mount_is_found_with_its_size_and_no_noise_of_the_block(seed: 
 
 @pytest.mark.parametrize("correlation_s", [0.2, 0.45, 0.75, 1.6])
 def test_the_strongest_sway_is_found_at_whatever_correlation_time(correlation_s: float) -> None:
-    """Two milliradians: at a correlation time that is off by a tenth any other colour would explain far more."""
+    """Two milliradians, between and beyond the correlation times that the noise family has: bounds as above."""
     change = sway(3, times=100.0, correlation_s=correlation_s)
     report = discrepancy([recording(change, 320, moving=False)], model())
     (found,) = swaying(report)
