@@ -22,7 +22,7 @@ _HARMONICS, _REPEATS_HZ = 16, 1.0  # of a wave that repeats, and how often it ma
 _HARMONIC_NATS = 4.0  # that a harmonic must add
 _SWEPT_HZ = 5.0  # within which lines that sweep are looked for
 _RATE_STEP = 2.0  # cycles over a record by which two sweeps differ
-_BLOCKS = 1000  # among which levels are told apart
+_BLOCKS = 1000  # at most, among which levels are told apart
 
 
 def score_of(left: Array, power: Array, basis: Basis, spread: Array) -> Array:
@@ -69,8 +69,8 @@ def levels(left: Array, power: Array, basis: Basis, spread: Array, cost: float) 
     Optimal over all choices (optimal partitioning, Jackson et al. 2005), of block means whose noise is that at their
     own time scale.
     """
-    count = min(_BLOCKS, len(left))
-    size = len(left) // count
+    size = -(-len(left) // _BLOCKS)
+    count = len(left) // size
     values = np.asarray(idct(left, norm="ortho"))[: count * size] * spread[: count * size]
     means = values.reshape(count, size).mean(axis=1)
     bin_of_blocks = int(np.searchsorted(basis.bounds, basis.n / size, "right")) - 1

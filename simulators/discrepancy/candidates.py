@@ -19,6 +19,7 @@ from scipy.fft import dct
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene, mean_changed, parameter_change
+from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.wiring import Mistake, mend
@@ -26,7 +27,7 @@ from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Occasion, SampleEffect, Stage
 from simulators.effects.size_effect import SizeEffect
 from simulators.effects.thermal_lag import ThermalLag
-from simulators.motion import Setup, Turn, Vibration
+from simulators.motion import Setup, Turn
 
 Array = NDArray[np.float64]
 Slot = tuple[int, int]
@@ -483,7 +484,7 @@ class Library:
             sigma = motion.angle_sigma_deg if isinstance(motion, TurnMeta) else None
             if sigma and one.angle is not None:
                 self.nuisance.append((self._keep(one.angle), sigma * degree))
-        for change, spread in _lost_vibration(scene):
+        for change, spread in lost_vibration(scene):
             self._always(index, change, spread)
 
     def _always(self, index: int, change: Array, sigma: float) -> None:
@@ -608,25 +609,6 @@ def _chords(
         return [setup_difference(scene, effect, channel, sizes[0]) / sizes[0]]
     first, both = (_tilted(scene, (sizes[0], second), shape["rides"]) for second in (0.0, sizes[1]))
     return [first / sizes[0], (both - first) / sizes[1]]
-
-
-def _lost_vibration(scene: Scene) -> list[tuple[Array, float]]:
-    """Return what the samples lost under each vibration may have held: its mean (n, 6), along its axis, and its σ.
-
-    A vibration ends where it began, so over all its samples its mean is nothing; of m lost out of n it is rms·√m/n.
-    """
-    found = []
-    for motion in scene.setup.motions:
-        if not isinstance(motion, Vibration):
-            continue
-        rows = (scene.time_s > motion.start_s) & (scene.time_s <= motion.end_s + scene.seen.interval_s)
-        lost = int(scene.data.missing[rows, :3].any(axis=1).sum())
-        if lost:
-            change = np.zeros((scene.time_s.size, 6))
-            change[rows, :3] = np.asarray(motion.axis) / np.linalg.norm(motion.axis)
-            rms = float(np.sqrt(np.mean(np.sum(scene.shaken[rows] ** 2, axis=1))))
-            found.append((change, rms * math.sqrt(lost) / int(rows.sum())))
-    return found
 
 
 def setup_difference(scene: Scene, effect: str, channel: str, size: float) -> Array:

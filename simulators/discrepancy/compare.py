@@ -106,15 +106,18 @@ class Scene:
         return _vibrations(self.setup, self.seen)
 
     def unshaken(self, rates: Array, column: int) -> Array:
-        """Return rates (n,) of a channel less what is taken for a vibration along its axis: all but the mean."""
+        """Return rates (n,) of a channel less what is taken for a vibration along its axis: all but the mean.
+
+        The mean is that of samples which came: what stands for the others is not their part of the vibration.
+        """
         if column >= 3:
             return rates
-        left = rates
+        left, came = rates, accelerometers_came(self.data)
         for rows, axis in self.vibrations():
             part = left[rows]
-            if axis[column] and part.size:
+            if axis[column] and came[rows].any():
                 left = left.copy()
-                left[rows] = part - axis[column] ** 2 * (part - part.mean())
+                left[rows] = part - axis[column] ** 2 * (part - part[came[rows]].mean())
         return left
 
     @cached_property
@@ -257,12 +260,12 @@ def following_vibrations(scene: Scene) -> Scene:
     seen, predicted, shaken = replace(scene.seen, accel_mps2=accel), scene.predicted, np.zeros_like(accel)
     if scene.shaken.any():
         predicted = _readings(scene.model, seen)
-    off, missing = (scene.measured - predicted)[:, :3], np.asarray(np.any(scene.data.missing[:, :3], axis=1))
-    setup = spans_as_shaken(scene.setup, seen.time_s, off, missing)
+    off, came = (scene.measured - predicted)[:, :3], accelerometers_came(scene.data)
+    setup = spans_as_shaken(scene.setup, seen.time_s, off, ~came)
     shaking = vibration_mean_square(setup, seen.time_s - 0.5 * seen.interval_s)
     scene, seen = replace(scene, setup=setup), replace(seen, vibration_mps2_squared=shaking)
     for _ in range(_ROUNDS):  # what a reading says of its input depends on the model's scale, so again
-        shaken += _shaken(scene.setup, seen, scene.measured - predicted)
+        shaken += _shaken(scene.setup, seen, scene.measured - predicted, came)
         seen = replace(seen, accel_mps2=accel + shaken)
         predicted = _readings(scene.model, seen)
     return replace(scene, seen=seen, predicted=predicted, shaken=shaken)
@@ -282,12 +285,18 @@ def _levelled(setup: Setup, data: Repaired) -> Setup:
     return replace(setup, C_tb=np.array([forward, np.cross(up, forward), up]))
 
 
-def _shaken(setup: Setup, seen: Circumstances, residual: Array) -> Array:
+def accelerometers_came(data: Repaired) -> NDArray[np.bool_]:
+    """Return which samples (n,) came with all three accelerometers' readings."""
+    return ~np.asarray(np.any(data.missing[:, :3], axis=1))
+
+
+def _shaken(setup: Setup, seen: Circumstances, residual: Array, came: NDArray[np.bool_]) -> Array:
     """Return the vibration (n, 3) [m/s²] as the accelerometers saw it along its axis, its mean left out."""
     shaken = np.zeros((len(residual), 3))
     for rows, axis in _vibrations(setup, seen):
         along = residual[rows][:, :3] @ axis
-        shaken[rows] = np.outer(along - along.mean(), axis)
+        if came[rows].any():
+            shaken[rows] = np.outer(along - along[came[rows]].mean(), axis)
     return shaken
 
 

@@ -102,6 +102,21 @@ def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> NamedNoi
     return mount if mount.evidence_nats > block.evidence_nats + margin else block
 
 
+def value_of_named(evidence: Evidence, fit: Fit, slot: Slot) -> float:
+    """Return the log-likelihood [nats] of one slot in noise of which terms are larger than stated, less their price.
+
+    Minus infinity where the model states no noise.
+    """
+    if evidence.stated[slot] is None:
+        return -math.inf
+    power = {slot: _eased(evidence, fit, slot)}
+    nothing = {slot: np.zeros((len(power[slot]), 0))}
+    tails = max(evidence.scatter(slot), _tails(evidence, fit, slot))
+    found, power, _ = _named(evidence, fit, power, nothing, _NONE, tails, 0.0)
+    price = sum(one.gain - one.score for one in found)
+    return float(-0.5 * np.sum(evidence.basis[slot].counts * np.log(power[slot]) + fit.rss[slot] / power[slot])) - price
+
+
 def _of_their_own(evidence: Evidence, fit: Fit, power: dict[Slot, Array], block: NamedNoise) -> dict[str, float]:
     """Return the evidence [nats] of noise that each channel has of its own: terms with a name, or any colour."""
     found = {}

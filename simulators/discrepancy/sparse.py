@@ -3,7 +3,7 @@
 Noise of any colour takes whatever is there into its spectrum, a jump as well as a wave. But it spends evidence on every
 coefficient, and a structure that is simple spends it on a few: so what is left is described over again, in the noise
 in which nothing slow is random, by steps and lines taken one by one, by one line that sweeps or by one wave that
-repeats, each charged for the places it could have been.
+repeats, each charged for the places it could have been, and held against noise with a name as well.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from simulators.discrepancy.atoms import best_comb, best_line, best_sweep, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.noise_names import value_of_named
 from simulators.discrepancy.whitening import STATED, Basis, NoiseFit
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ class _Trial:
         self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
-        self._noise_alone = evidence.slot_value(slot, fit)
+        self._noise_alone = max(evidence.slot_value(slot, fit), value_of_named(evidence, fit, slot))
         self._time_s = np.asarray((np.arange(self.basis.n) + 0.5) * self.basis.interval_s)
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 
