@@ -333,13 +333,15 @@ class Searcher:
         wanted = dict.fromkeys(Kind, (-math.inf, -math.inf))  # score and promise
         if own is not None:
             wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, looks) - TIE))
-        for place, (promise, hypothesis) in enumerate(self._leaders(current, adopted, looks)):
+        refined = 0
+        for promise, hypothesis in self._leaders(current, adopted, looks):
             least, alike = wanted[hypothesis.kind]
             slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
             if promise + max(_SLACK, slack * promise) < least and promise < alike:
                 continue
-            refined = self._refine(hypothesis, current, look) if place < _REFINED else hypothesis
-            one = self._as_parallel(refined, scored) or self.score(refined, current, adopted)
+            if not hypothesis.is_plain and refined < _REFINED:
+                hypothesis, refined = self._refine(hypothesis, current, look), refined + 1
+            one = self._as_parallel(hypothesis, scored) or self.score(hypothesis, current, adopted)
             if one is not None and not self._is_rounding(one):
                 scored.append(one)
                 if one.score - TIE > least:

@@ -270,10 +270,14 @@ class Library:
             self.columns[i] = Column({})
 
     def trial(self, effect: str, channel: str, shape: Mapping[str, float], places: float) -> Hypothesis | None:
-        """Add one more shape of an effect on sensors."""
+        """Add one more shape of an effect on sensors, which is one of so many places.
+
+        Of what has no amplitude the shape is the number found from the data, and is charged for as such alone.
+        """
         found = get_effect(effect)
         raw = self._sensor_columns(found, channel, shape)
-        return self.add(Kind.NAMED, effect, channel, raw, shape, places, isinstance(found, SampleEffect))
+        readout = isinstance(found, SampleEffect)
+        return self.add(Kind.NAMED, effect, channel, raw, shape, 1.0 if readout else places, readout)
 
     def setup_trial(
         self, effect: str, channel: str, sizes: tuple[float, ...], shape: Mapping[str, float] | None = None
