@@ -85,18 +85,18 @@ class Scene:
         whole = len(filled) // self.group * self.group
         return np.asarray(filled[:whole].reshape(-1, self.group).mean(axis=1))
 
-    def motion(self, column: int) -> Array:
+    def motion(self, column: int, stretches: int = _STRETCHES) -> Array:
         """Return the mean motion of a channel (n,) [y], as analysed.
 
         Its course is by the prediction; its level, which a bias shifts and a table's error in each turn, by the
-        measurement.
+        measurement: that of each turn, of what lies between two, and of as many stretches of the record at least.
         """
         predicted = self.analysed(self.predicted[:, column], column)
         off = self.analysed(self.measured[:, column], column) - predicted
         time_s = self.time_s[self.group - 1 :: self.group][: len(off)]
         ends_s = [end_s for _, turn in self.turns() for end_s in (turn.start_s, turn.end_s)]
         cuts = {0, len(off), *np.searchsorted(time_s, ends_s).tolist(), *(np.searchsorted(time_s, ends_s) + 1).tolist()}
-        cuts |= set(range(0, len(off), max(1, len(off) // _STRETCHES)))
+        cuts |= set(range(0, len(off), max(1, len(off) // stretches)))
         edges = np.array(sorted(cut for cut in cuts if cut <= len(off)))
         level = np.add.reduceat(off, edges[:-1]) / np.diff(edges)
         return np.asarray(predicted + np.repeat(level, np.diff(edges)))

@@ -1,7 +1,7 @@
 """A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
 
 Smooth functions of time, waves that die out, temperature, the sensor's own input, products of inputs, memory of the
-input, and ringing after changes of motion.
+input, whether it fades or is hysteresis, and ringing after changes of motion.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from inertial.compiled import compiled
 from simulators.discrepancy.compare import Scene
 
 Array = NDArray[np.float64]
 
 _MEMORY_S = (1.5, 6.0, 25.0)
+_PLAYS = (0.1, 0.2, 0.3, 0.45)  # shares of half the input's range
 _LASTING, _WAVES = (0.05, 0.12, 0.25), (1.0, 2.0, 3.0, 4.0, 6.0)
 _RINGS_S, _PERIODS_S = (2.0, 6.0), (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 _NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
@@ -76,6 +78,8 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
             decay = float(np.exp(-seen.interval_s / span))
             past, _ = lfilter([1.0 - decay], [1.0, -decay], unit, zi=np.array([decay * unit[0]]))
             yield f"memory of input, {span:g} s", past - unit
+        for share in _PLAYS:
+            yield f"hysteresis of input, {share:g} of its range", _play(unit, 0.5 * share * float(np.ptp(unit))) - unit
     if scene.warm and np.ptp(seen.temperature_c[:, 0]) > 0.3:
         warmth = seen.temperature_c[:, 0] - seen.temperature_c[:, 0].mean()
         warmth = warmth / np.max(np.abs(warmth))
@@ -94,3 +98,14 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
                 yield f"{_NAMES[i]} x {_NAMES[j]}", inputs[:, i] * inputs[:, j] / (sizes[i] * sizes[j])
     if largest > 0.0 and np.ptp(own) > 1e-3 * largest:
         yield "input x time", own / largest * np.cos(phase)
+
+
+@compiled
+def _play(values: Array, half_width: float) -> Array:
+    """Return values (n,) as a gear with play follows them, of which any hysteresis is a sum (Prandtl-Ishlinskii)."""
+    followed = np.empty_like(values)
+    place = values[0]
+    for i in range(len(values)):
+        place = min(max(place, values[i] - half_width), values[i] + half_width)
+        followed[i] = place
+    return followed

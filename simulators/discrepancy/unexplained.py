@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +12,9 @@ from scipy.fft import idct
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
-from simulators.discrepancy.candidates import Kind, Slot, to_cosine
+from simulators.discrepancy.candidates import Kind
 from simulators.discrepancy.noise_names import OtherNoise
+from simulators.discrepancy.nonstationarity import Unsteady, find_unsteady
 from simulators.discrepancy.sparse import Sparse, find_sparse
 
 Array = NDArray[np.float64]
@@ -23,13 +23,6 @@ MISFIT_SHARE = 0.05
 """A curve that gains less than this share of a name's evidence on the same sensor is that name's misfit."""
 PHANTOM_SHARE = 0.01
 """A name that gains less than this share of another's on the same sensor only mends the other's form."""
-UNSTEADY_NATS = 7.0
-"""Evidence that the power of what is left varies with time more than steady noise does: once in a thousand records."""
-_SHARE_SEEN = 0.8  # of a block that must have been measured
-_COEFFICIENTS = 8  # that make up one block's power
-_FIRST, _HIGHEST_HZ = 32, 5.0
-_CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
-_SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
 _MANY_LINES = 4
 _FEW_STEPS = 2  # of one channel that are still shocks of their own
 _FORM_S, _FORM_ERROR = 1.0, 0.3  # over which a form is looked at, and the share of it that an error of it may be
@@ -113,7 +106,8 @@ def judge(
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
     swallowed = [_swallowed(one) for one in find_sparse(search.evidence, search.fit)]
-    unsteady = swallowed + [found for found in _unsteady(search) if found["channel"] not in silenced]
+    restless = [one for one in find_unsteady(search.evidence, search.fit) if one.channel not in silenced]
+    unsteady = swallowed + [_restless(one) for one in restless]
     for found in unsteady:
         terms.append(found)
         withdrawn += _stood_in(named, gains, str(found["channel"]), float(found["evidence_nats"]))
@@ -199,51 +193,7 @@ def _swallowed(one: Sparse) -> dict[str, Any]:
     return {"kind": "sparse", "channel": CHANNELS[one.slot[1]], "term": text, "evidence_nats": one.nats}
 
 
-def _unsteady(search: Search) -> list[dict[str, Any]]:
-    """Return channels whose whitened remainder has more power at some times than at others.
-
-    Structure that a wide noise model has swallowed shows so: noise goes on all the time, and what drives structure
-    does not.
-    """
-    found = []
-    for slot in search.evidence.slots:
-        nats, when = _unsteadiness(search, slot)
-        if nats > UNSTEADY_NATS:
-            text = "what is left comes and goes"
-            channel = CHANNELS[slot[1]]
-            found.append({"kind": "unsteady", "channel": channel, "term": text, "at_s": when, "evidence_nats": nats})
-    return found
-
-
-def _unsteadiness(search: Search, slot: Slot) -> tuple[float, float]:
-    """Return the evidence [nats] that power varies from block to block, in some band from zero up, and where most."""
-    basis, scene = search.evidence.basis[slot], search.evidence.library.scenes[slot[0]]
-    left = search.evidence.library.left(slot, search.fit.ids, search.fit.amplitude)
-    white = left * basis.each(search.fit.noise[slot].power ** -0.5)
-    white = to_cosine(np.clip(idct(white, norm="ortho"), -_CLIP, _CLIP))
-    came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
-    highest_hz = _HIGHEST_HZ
-    if scene.turns() or search.evidence.scatter(slot) > _SWARMS:  # rounding errors come and go themselves
-        highest_hz = min(_HIGHEST_HZ, scene.freely_rounded_hz(slot[1]))
-    best, when, bands, highest = 0.0, 0.0, 0, _FIRST
-    while highest < min(basis.n // 4, 2.0 * basis.n * basis.interval_s * highest_hz):
-        count = highest // _COEFFICIENTS
-        padded = np.zeros(8 * highest)
-        padded[2:highest] = white[2:highest]
-        power = np.square(idct(padded, norm="ortho")).reshape(count, -1).mean(axis=1)
-        seen = np.array([part.mean() for part in np.array_split(came, count)]) > _SHARE_SEEN
-        power = power[seen] / max(float(power[seen].mean()), 1e-300) if seen.sum() >= 4 else power[:0]
-        ratio = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
-        nats = _beyond_chance(ratio, power.size)
-        bands, highest = bands + 1, 2 * highest
-        if nats > best:
-            place = (int(np.flatnonzero(seen)[int(np.argmax(power))]) + 0.5) / count
-            best, when = nats, float(scene.time_s[0] + place * (scene.time_s[-1] - scene.time_s[0]))
-    return best - math.log(max(bands, 1) * len(CHANNELS)), when
-
-
-def _beyond_chance(ratio: float, freedom: int) -> float:
-    """Return a bound on -ln of the chance that χ² of some freedom is as large (Chernoff)."""
-    if freedom == 0 or ratio <= freedom:
-        return 0.0
-    return 0.5 * (ratio - freedom - freedom * math.log(ratio / freedom))
+def _restless(one: Unsteady) -> dict[str, Any]:
+    """Return in words what comes and goes."""
+    text = "what is left comes and goes"
+    return {"kind": "unsteady", "channel": one.channel, "term": text, "at_s": one.at_s, "evidence_nats": one.nats}

@@ -101,6 +101,25 @@ def test_noise_three_times_larger_than_stated_is_named_as_noise() -> None:
     assert len(report.findings) == 6
 
 
+@pytest.mark.parametrize(("column", "slack"), [(2, 2.5e-3), (5, 2e-5)])
+def test_a_sensor_that_lags_behind_its_input_by_a_slack_is_unknown_and_said_to_have_hysteresis(
+    column: int, slack: float
+) -> None:
+    """Going up it reads the input less the slack, going down the input and the slack, in between what it last read."""
+
+    def lag(true: Truth, readings: np.ndarray) -> None:
+        inputs = np.hstack([true["accel"], true["gyro"]])[:, column]
+        width = 0.25 * np.ptp(inputs)
+        reading = inputs[0]
+        for k, value in enumerate(inputs):
+            reading = np.clip(reading, value - width, value + width)
+            readings[k, column] += slack / width * (reading - value)
+
+    report = discrepancy([recording(lag, 61)], model())
+    assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
+    assert "hysteresis" in report.document["remaining"]["empirical"][0]["term"]
+
+
 def test_a_wave_that_no_effect_has_is_unknown() -> None:
     def wave(true: Truth, readings: np.ndarray) -> None:
         angle = 2 * np.pi * true["t"] / 70.0

@@ -1,0 +1,131 @@
+"""Whether what a fit leaves comes and goes: noise goes on all the time, and what drives structure does not.
+
+Structure that a wide noise model has swallowed shows so. The rounding errors of a readout in coarse steps come and go
+themselves, with the motion that they round: what they do is simulated, and only what is beyond it counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import idct
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.candidates import Slot, to_cosine
+from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.whitening import FREE_SHARE
+
+Array = NDArray[np.float64]
+
+MARGIN = 7.0
+"""Evidence [nats] that power varies with time more than that of steady noise does: once in a thousand records."""
+_SHARE_SEEN = 0.8  # of a block that must have been measured
+_COEFFICIENTS = 8  # that make up one block's power
+_FEWEST = 4  # blocks of a band
+_FIRST, _HIGHEST_HZ = 32, 5.0
+_CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
+_SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
+_DRAWS = 40  # records of rounding errors
+
+
+@dataclass(frozen=True)
+class Unsteady:
+    """A channel whose remainder has more power at some times than at others, most at ``at_s``, by ``nats``."""
+
+    channel: str
+    at_s: float
+    nats: float
+
+
+def find_unsteady(evidence: Evidence, fit: Fit) -> list[Unsteady]:
+    """Return the slots whose whitened remainder is not steady, in some band from zero up."""
+    found = [_of_slot(evidence, fit, slot) for slot in evidence.slots]
+    return [one for one in found if one.nats > MARGIN]
+
+
+def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
+    basis, scene = evidence.basis[slot], evidence.library.scenes[slot[0]]
+    left = idct(evidence.library.left(slot, fit.ids, fit.amplitude), norm="ortho")
+    came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
+    rounded_hz = math.inf
+    if scene.turns() or evidence.scatter(slot) > _SWARMS:
+        rounded_hz = scene.freely_rounded_hz(slot[1])
+    bands = _bands(basis.n, basis.interval_s, min(_HIGHEST_HZ, rounded_hz) if scene.group > 1 else _HIGHEST_HZ)
+    penalty = math.log(max(len(bands), 1) * len(CHANNELS))
+    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands)
+    nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
+    rounded = bands > 2.0 * basis.n * basis.interval_s * rounded_hz
+    if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
+        nats[rounded] = _beyond_chance(ratio[rounded], *_by_rounding(evidence, fit, slot, came, bands[rounded]))
+    best = int(np.argmax(nats)) if bands.size else 0
+    nats, places = (np.append(values, 0.0) for values in (nats, places))
+    when_s = float(scene.time_s[0] + places[best] * (scene.time_s[-1] - scene.time_s[0]))
+    return Unsteady(CHANNELS[slot[1]], when_s, float(nats[best]) - penalty)
+
+
+def _bands(count: int, interval_s: float, highest_hz: float) -> NDArray[np.int64]:
+    """Return how many coefficients from zero up each band has."""
+    doubled = _FIRST * 2 ** np.arange(32, dtype=np.int64)
+    return doubled[doubled < min(count // 4, 2.0 * count * interval_s * highest_hz)]
+
+
+def _white(evidence: Evidence, fit: Fit, slot: Slot, left: Array) -> Array:
+    """Return the whitened coefficients (n,) of what is left (n,), outliers clipped."""
+    weight = evidence.basis[slot].each(fit.noise[slot].power ** -0.5)
+    return to_cosine(np.clip(idct(to_cosine(left) * weight, norm="ortho"), -_CLIP, _CLIP))
+
+
+def _by_band(white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Return of each band the likelihood ratio [2 nats] of power that varies from block to block, of how many blocks.
+
+    And where along the record power is most.
+    """
+    ratio, freedom, places = (np.zeros(len(bands)) for _ in range(3))
+    for band, highest in enumerate(bands.tolist()):
+        count = highest // _COEFFICIENTS
+        padded = np.zeros(8 * highest)
+        padded[2:highest] = white[2:highest]
+        power = np.square(idct(padded, norm="ortho")).reshape(count, -1).mean(axis=1)
+        seen = np.array([part.mean() for part in np.array_split(came, count)]) > _SHARE_SEEN
+        if seen.sum() < _FEWEST:
+            continue
+        power = power[seen] / max(float(power[seen].mean()), 1e-300)
+        ratio[band] = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
+        freedom[band] = power.size
+        places[band] = (int(np.flatnonzero(seen)[int(np.argmax(power))]) + 0.5) / count
+    return ratio, freedom, places
+
+
+def _by_rounding(
+    evidence: Evidence, fit: Fit, slot: Slot, came: NDArray[np.bool_], bands: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return mean and variance of the likelihood ratio by band that rounding errors alone make of the same motion.
+
+    Of noise of which the model knows the size about, the least is taken, which jolts the readout least.
+    """
+    scene = evidence.library.scenes[slot[0]]
+    noise = getattr(scene.model.noise, CHANNELS[slot[1]])
+    per_step = scene.seen.interval_s / noise.quantisation
+    share = FREE_SHARE if scene.model.noise.free else 1.0
+    sigma = share * noise.white / math.sqrt(scene.seen.interval_s) * per_step
+    advance = scene.motion(slot[1], stretches=1) * per_step  # noise of shorter ones would be there twice
+    rng, ratios = np.random.default_rng(advance.size), []
+    for _ in range(_DRAWS):
+        moved = advance + sigma * rng.standard_normal(advance.size)
+        steps = np.diff(np.rint(rng.random() + np.cumsum(moved)), prepend=0.0)
+        left = scene.analysed((steps - advance) / per_step, slot[1]) / evidence.library.spread[slot]
+        ratios.append(_by_band(_white(evidence, fit, slot, left), came, bands)[0])
+    return np.mean(ratios, axis=0), np.var(ratios, axis=0, ddof=1)
+
+
+def _beyond_chance(ratio: Array, mean: Array, variance: Array) -> Array:
+    """Return a bound on -ln of the chance that a multiple of χ², of such a mean and variance, is as large (Chernoff).
+
+    What multiple, and of what freedom, is by Satterthwaite (1946).
+    """
+    scale = np.maximum(variance / np.maximum(2.0 * mean, 1e-300), 1.0)
+    excess = np.maximum(ratio / np.maximum(mean, 1e-300), 1.0)
+    return np.asarray(0.5 * mean / scale * (excess - 1.0 - np.log(excess)))
