@@ -19,7 +19,6 @@ Array = npt.NDArray[np.float64]
 
 _HARMONICS = 8
 _DRAWS = 16  # records simulated
-_COEFFICIENTS = 1e7  # among which the largest line is looked for, in all channels and records
 LOOKED_AT = 1 << 16  # readings are enough to show a lattice
 _OFF_LATTICE = 0.02  # rms distance from the lattice, in steps; readings on none have 0.29
 _COARSE = 20.0  # last places of a frame that a step must have to be told from them
@@ -79,19 +78,6 @@ def _counted(beyond: Array, step: float, error: float) -> Array:
         if near.all() or finer > 0.5 * error:
             return np.asarray(np.round(beyond / step))
         error = finer
-
-
-def largest_line(sigma: float, samples: int) -> float:
-    """Return the largest amplitude [steps] that a line of the rounding error shows in so many samples.
-
-    The sawtooth's first harmonic has 1/π. Noise of ``sigma`` [steps per sample] turns its phase, so that it adds up
-    over a few samples only, with the line width of :func:`error_spectrum`; both its lines may fall together, beside
-    what is white. The largest of many coefficients exceeds its mean by the logarithm of their number.
-    """
-    fade = float(np.exp(-2.0 * (np.pi * sigma) ** 2))
-    together = (1.0 + fade) / max(1.0 - fade, 1e-12)
-    density = 1.0 / 12.0 + (together - 1.0) / (2.0 * np.pi**2)
-    return min(2.0 * float(np.sqrt(np.log(_COEFFICIENTS) * density / samples)), 1.0 / np.pi)
 
 
 def power_scatter(advance: Array, sigma: float, bounds: npt.NDArray[np.int64]) -> Array:

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from scipy.fft import idct
 
 from inertial.documents import CHANNELS
-from inertial.rounding import largest_line
 from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.look import Look
+from simulators.discrepancy.rounding_errors import largest_line
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
 
@@ -123,6 +123,7 @@ class Searcher:
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
         self._ranked: deque[tuple[Fit, tuple[Hypothesis, ...], list[Scored]]] = deque(maxlen=_RANKED)
+        self._rounding: dict[int, float] = {}
 
     def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
         """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
@@ -364,20 +365,19 @@ class Searcher:
         return bayes_factor(gain, hypothesis.freedom, self.places(hypothesis))
 
     def _is_rounding(self, one: Scored) -> bool:
-        """Whether a line may be one of the rounding error, no larger than noise of less than is stated leaves it."""
+        """Whether a line may be one of the rounding error, no larger than with half the noise the motion makes it."""
         h = one.hypothesis
         if h.effect != "sinusoid":
             return False
-        scene, hertz = self.library.scenes[0], h.shape["frequency"]
-        noise = getattr(scene.model.noise, h.channel)
-        if hertz < scene.freely_rounded_hz(CHANNELS.index(h.channel)):
+        scene, column = self.library.scenes[0], CHANNELS.index(h.channel)
+        if h.shape["frequency"] < scene.freely_rounded_hz(column):
             return False
+        if column not in self._rounding:
+            white = ROUNDED_AT[0] * float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
+            noise = getattr(scene.model.noise, h.channel).model_copy(update={"white": white})
+            self._rounding[column] = largest_line(scene, column, noise)
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
-        angle = size * scene.interval_s / (2.0 * math.sin(math.pi * hertz * scene.interval_s))
-        samples = len(scene.time_s) // scene.group
-        white = float(scene.noise_sigma[CHANNELS.index(h.channel)]) * math.sqrt(scene.seen.interval_s)
-        jolt = ROUNDED_AT[0] * white * math.sqrt(scene.interval_s) / noise.quantisation
-        return bool(angle < noise.quantisation * largest_line(jolt, samples))
+        return size < self._rounding[column]
 
     def _leaders(
         self, current: Fit, adopted: Sequence[Hypothesis], looks: Sequence[Look]

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
 
-from inertial.documents import CHANNELS
+from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
-from simulators.discrepancy.whitening import FREE_SHARE
+from simulators.discrepancy.rounding_errors import rounding_errors
+from simulators.discrepancy.whitening import FREE_SHARE, freely_rounded_hz
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,7 @@ _COEFFICIENTS = 8  # that make up one block's power
 _FEWEST = 4  # blocks of a band
 _FIRST, _HIGHEST_HZ = 32, 5.0
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
-_SWARMS = 1.3  # by which rounding errors scatter more than noise that goes on all the time
-_DRAWS = 40  # records of rounding errors
+_LEAST = 0.25  # of the noise that is stated, which there is at least
 
 
 @dataclass(frozen=True)
@@ -50,26 +50,25 @@ def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
     basis, scene = evidence.basis[slot], evidence.library.scenes[slot[0]]
     left = idct(evidence.library.left(slot, fit.ids, fit.amplitude), norm="ortho")
     came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
-    rounded_hz = math.inf
-    if scene.turns() or evidence.scatter(slot) > _SWARMS:
-        rounded_hz = scene.freely_rounded_hz(slot[1])
-    bands = _bands(basis.n, basis.interval_s, min(_HIGHEST_HZ, rounded_hz) if scene.group > 1 else _HIGHEST_HZ)
+    noise = _least_noise(evidence, fit, slot)
+    rounded_hz = freely_rounded_hz(noise, basis.interval_s)
+    bands = _bands(basis.n, basis.interval_s)
     penalty = math.log(max(len(bands), 1) * len(CHANNELS))
     ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands)
     nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
     rounded = bands > 2.0 * basis.n * basis.interval_s * rounded_hz
     if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
-        nats[rounded] = _beyond_chance(ratio[rounded], *_by_rounding(evidence, fit, slot, came, bands[rounded]))
+        nats[rounded] = _beyond_chance(ratio[rounded], *_by_rounding(evidence, fit, slot, noise, came, bands[rounded]))
     best = int(np.argmax(nats)) if bands.size else 0
     nats, places = (np.append(values, 0.0) for values in (nats, places))
     when_s = float(scene.time_s[0] + places[best] * (scene.time_s[-1] - scene.time_s[0]))
     return Unsteady(CHANNELS[slot[1]], when_s, float(nats[best]) - penalty)
 
 
-def _bands(count: int, interval_s: float, highest_hz: float) -> NDArray[np.int64]:
+def _bands(count: int, interval_s: float) -> NDArray[np.int64]:
     """Return how many coefficients from zero up each band has."""
     doubled = _FIRST * 2 ** np.arange(32, dtype=np.int64)
-    return doubled[doubled < min(count // 4, 2.0 * count * interval_s * highest_hz)]
+    return doubled[doubled < min(count // 4, 2.0 * count * interval_s * _HIGHEST_HZ)]
 
 
 def _white(evidence: Evidence, fit: Fit, slot: Slot, left: Array) -> Array:
@@ -100,25 +99,34 @@ def _by_band(white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64]) ->
 
 
 def _by_rounding(
-    evidence: Evidence, fit: Fit, slot: Slot, came: NDArray[np.bool_], bands: NDArray[np.int64]
+    evidence: Evidence,
+    fit: Fit,
+    slot: Slot,
+    noise: ChannelNoise,
+    came: NDArray[np.bool_],
+    bands: NDArray[np.int64],
 ) -> tuple[Array, Array]:
-    """Return mean and variance of the likelihood ratio by band that rounding errors alone make of the same motion.
-
-    Of noise of which the model knows the size about, the least is taken, which jolts the readout least.
-    """
-    scene = evidence.library.scenes[slot[0]]
-    noise = getattr(scene.model.noise, CHANNELS[slot[1]])
-    per_step = scene.seen.interval_s / noise.quantisation
-    share = FREE_SHARE if scene.model.noise.free else 1.0
-    sigma = share * noise.white / math.sqrt(scene.seen.interval_s) * per_step
-    advance = scene.motion(slot[1], stretches=1) * per_step  # noise of shorter ones would be there twice
-    rng, ratios = np.random.default_rng(advance.size), []
-    for _ in range(_DRAWS):
-        moved = advance + sigma * rng.standard_normal(advance.size)
-        steps = np.diff(np.rint(rng.random() + np.cumsum(moved)), prepend=0.0)
-        left = scene.analysed((steps - advance) / per_step, slot[1]) / evidence.library.spread[slot]
-        ratios.append(_by_band(_white(evidence, fit, slot, left), came, bands)[0])
+    """Return mean and variance of the likelihood ratio by band that rounding errors alone make of the same motion."""
+    scene, spread = evidence.library.scenes[slot[0]], evidence.library.spread[slot]
+    errors = rounding_errors(scene, slot[1], noise)
+    ratios = [_by_band(_white(evidence, fit, slot, left / spread), came, bands)[0] for left in errors]
     return np.mean(ratios, axis=0), np.var(ratios, axis=0, ddof=1)
+
+
+def _least_noise(evidence: Evidence, fit: Fit, slot: Slot) -> ChannelNoise:
+    """Return the noise with as little white noise as there may be; the less, the less it jolts a readout in steps.
+
+    Where rounding is lost in any what is left shows it; of noise of which the model knows the size about, so does that.
+    """
+    basis, model = evidence.basis[slot], evidence.library.scenes[slot[0]].model
+    noise: ChannelNoise = getattr(model.noise, CHANNELS[slot[1]])
+    least = noise.model_copy(update={"white": _LEAST * noise.white})
+    slow = basis.frequency_hz < freely_rounded_hz(least, basis.interval_s)
+    slow[0] = False  # a bias
+    count, power = float(basis.counts[slow].sum()), basis.stated(noise, 0.0)[slow]
+    most = FREE_SHARE if model.noise.free else 1.0
+    share = math.sqrt(float(np.sum(fit.rss[slot][slow] / power)) / count) if count and power.all() else most
+    return noise.model_copy(update={"white": min(max(share, _LEAST), most) * noise.white})
 
 
 def _beyond_chance(ratio: Array, mean: Array, variance: Array) -> Array:

@@ -27,6 +27,8 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
+_LEAP = 3  # samples behind a run by which a leap is told
+_SWING, _AS_FAR = 10, 0.7  # times its length on either side that a swing is looked for, and share of a run's sum
 _BESIDE = 50  # samples beside a run that say how it would have been shaken
 _BLOCK = 32
 _EDGE_S = 0.1  # about the ends of a turn
@@ -62,7 +64,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         shaken = _vibrated(scene, column)[came] * interval[came]
         # That a turn ends late is no reading that stood still.
         settled = np.where(changing[came], np.median(off), off)
-        for first, last in _standing(increment, (off, settled), said, white_by_model, shaken):
+        for first, last in _standing(increment, (off, settled), said, white_by_model, shaken, tilted=column < 3):
             start, end = int(came[first]), int(came[last])
             if last - first + 1 < _SHORT_RUN and changing[start]:
                 continue  # a turn that came late stands still for as long
@@ -93,14 +95,14 @@ def _jolts(shaken: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> 
 
 
 def _standing(
-    increment: Array, offs: tuple[Array, Array], said: Array, white_by_model: float, shaken: Array
+    increment: Array, offs: tuple[Array, Array], said: Array, white_by_model: float, shaken: Array, *, tilted: bool
 ) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
     ``offs`` is by how much each increment is off the prediction, ``said``, as it is and without the ends of turns;
     ``white_by_model``: the σ of a sample's white noise, for what goes on slowly beside it does not break runs;
     ``shaken`` (n,) is by how much a vibration changes them from sample to sample: its course is not known but by the
-    readings.
+    readings; ``tilted``: it is the block's attitude that is read, as by an accelerometer.
     """
     off = offs[0]
     same = np.diff(increment) == 0.0
@@ -127,7 +129,9 @@ def _standing(
     candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
     found = []
     for a, b, chance in zip(first[candidate], last[candidate], longest[candidate], strict=True):
-        astray = min(_astray(one, int(a), int(b), step, noise) for one in offs)
+        as_is, without_ends = (_astray(one, int(a), int(b), step, noise) for one in offs)
+        # A turn that comes late leaves an attitude late, not all at once right when a register is let go.
+        astray = as_is if tilted and _let_go(off, int(b), step, noise) else min(as_is, without_ends)
         short = b - a < _SHORT_RUN
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
@@ -227,9 +231,29 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
     Those far about it know best what goes on all the time, those next to it whether the input itself swung so far: a
-    register that stood still is off both.
+    register that stood still is off both. Nothing is astray where the input swings as far before or after it.
     """
+    if _swings(off, a, b):
+        return 0.0
     return min(_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
+
+
+def _let_go(off: Array, b: int, step: float, noise: float) -> bool:
+    """Whether a run that ends at ``b`` is followed by a leap."""
+    behind = off[b + 1 : b + 1 + _LEAP]
+    return bool(behind.size and abs(float(off[b] - behind.mean())) > _FAR_ASTRAY * math.hypot(noise, step))
+
+
+def _swings(off: Array, a: int, b: int) -> bool:
+    """Whether as many samples near a run add up to as much, a good part of it, beyond what is usual there."""
+    count = b - a
+    low, high = max(a + 1 - _SWING * count, 0), min(b + 1 + _SWING * count, off.size)
+    usual = float(np.median(off[low:high]))
+    sums = np.concatenate([[0.0], np.cumsum(off[low:high] - usual)])
+    windows = np.abs(sums[count:] - sums[:-count])
+    own = a + 1 - low
+    beside = np.concatenate([windows[: max(own - count, 0)], windows[own + count :]])
+    return bool(np.max(beside, initial=0.0) > _AS_FAR * windows[own])
 
 
 def _off_beside(off: Array, a: int, b: int, step: float, noise: float, aside: int) -> float:

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from closed_form import RATE_HZ, model, recording
+from closed_form import GRAVITY_MPS2, RATE_HZ, model, recording
 
 from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.compare import compare
@@ -141,3 +141,47 @@ def test_a_coarse_reading_of_a_turn_that_ends_late_is_no_stuck_register() -> Non
             turn["end_s"] -= 0.012
         late = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
         assert find_stuck(compare(late, model()))[1] == []
+
+
+@pytest.mark.parametrize("stuck", [True, False])
+def test_an_accelerometer_that_stands_still_into_a_turn_is_told_from_a_turn_that_comes_late(*, stuck: bool) -> None:
+    """A fast turn begins at 50 s: three readings before and eight behind stay the same, or it begins 50 ms late."""
+    case = recording(None, 44, moving=False)
+    rate, start_s = np.radians(60.0), 50.0
+    turn = {"kind": "turn", "start_s": start_s, "end_s": 53.0, "rate_dps": 60.0, "axis": [0.0, 1.0, 0.0]}
+    meta = RecordingMeta.model_validate(
+        {**case.meta.model_dump(exclude_none=True), "motion": [{**turn, "frame": "body"}]}
+    )
+    samples = case.samples.copy()
+    late_s = 0.0 if stuck else 0.05
+    middle_s = samples["time"] - 0.5 / RATE_HZ
+    angle = rate * np.clip(middle_s - start_s - late_s, 0.0, 3.0)
+    samples["dv"][:, 0] -= GRAVITY_MPS2 * np.sin(angle) / RATE_HZ
+    samples["dv"][:, 2] -= GRAVITY_MPS2 * (1.0 - np.cos(angle)) / RATE_HZ
+    samples["dtheta"][:, 1] += rate / RATE_HZ * ((angle > 0.0) & (angle < rate * 3.0))
+    moved = coarse(Recording(samples, meta, case.path, case.meta_path), mean_steps=7.0)
+    first = round(start_s * RATE_HZ)
+    if stuck:
+        moved.samples["dv"][first - 3 : first + 8, 0] = moved.samples["dv"][first - 4, 0]
+    found = [one.channel for one in find_stuck(compare(moved, model()))[1]]
+    assert found == (["accel_x"] if stuck else [])
+
+
+@pytest.mark.parametrize(
+    ("seed", "hertz", "size_steps", "lasts_s", "late_s", "mean_steps"),
+    [
+        (52, 0.36373358, 1.0487629, 14.025079, 0.47532028, 7.4963298),
+        (51, 0.39565763, 1.450951, 13.926907, 0.28563874, 7.262199),
+    ],
+)
+def test_a_reading_at_the_crest_of_a_swing_is_no_stuck_register(
+    seed: int, hertz: float, size_steps: float, lasts_s: float, late_s: float, mean_steps: float
+) -> None:
+    """A slow ringing dies out; two of five thousand drawn at random whose crests passed for registers."""
+    case, step = recording(None, seed, moving=False), 2.0 * STEP_MPS
+    samples = case.samples.copy()
+    since_s = np.clip(samples["time"] - 80.0 - late_s, 0.0, None)
+    ringing = size_steps * step * np.exp(-since_s / lasts_s) * np.sin(2.0 * np.pi * hertz * since_s)
+    rates = samples["dv"][:, 0] - samples["dv"][:, 0].mean() + mean_steps * step + ringing
+    samples["dv"][:, 0] = np.diff(np.rint(np.cumsum(rates) / step), prepend=0.0) * step
+    assert find_stuck(compare(dataclasses.replace(case, samples=samples), model()))[1] == []
