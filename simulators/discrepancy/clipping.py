@@ -8,7 +8,7 @@ does not, by the noise that is gone. One that is clipped now and then, by its no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.read_off import ReadOff
 from simulators.discrepancy.standing import longest_by_rounding
 from simulators.discrepancy.whitening import FREE_SHARE
 
@@ -30,17 +31,7 @@ _RESOLUTION = 0.1  # of a sample's white noise: no readout that is said to have 
 _FOLLOWS = 0.5  # slope of reading over input: one on which the input acts has 1, one at its limit 0
 
 
-@dataclass(frozen=True)
-class Clipped:
-    """One sensor read no more than ``limit`` ± ``sigma`` [y]; ``nats``: what it explains over no limit."""
-
-    channel: str
-    limit: float
-    sigma: float
-    nats: float
-
-
-def find_clipped(scene: Scene) -> tuple[Scene, list[Clipped]]:
+def find_clipped(scene: Scene) -> tuple[Scene, list[ReadOff]]:
     """Return the scene with the samples at a limit marked missing, and the limits."""
     missing, found = scene.data.missing.copy(), []
     for column, channel in enumerate(CHANNELS):
@@ -51,7 +42,7 @@ def find_clipped(scene: Scene) -> tuple[Scene, list[Clipped]]:
         if clipped is not None:
             limit, sigma, nats, rows = clipped
             missing[rows, column] = True
-            found.append(Clipped(channel, limit, sigma, nats))
+            found.append(ReadOff("saturation", channel, limit, sigma, nats))
     return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
 
 
@@ -66,8 +57,8 @@ def _clipped(
     rounding = step / _WINDOW
     largest = came & (inputs >= np.quantile(inputs[came], 1.0 - _FEWEST / max(came.sum(), _FEWEST)))
     limit = float(np.median(size[largest]))
-    coarse = max(noise, step)
-    beyond = came & (inputs > limit + _BEYOND * coarse)
+    coarse, white = max(noise, step), max(float(scene.noise_sigma[column]), _RESOLUTION * step)
+    beyond = came & (inputs > limit + _BEYOND * white)
     # Not those where the input comes or goes within the window.
     inner = beyond & (uniform_filter1d(beyond.astype(np.float64), _WINDOW, mode="nearest") > 1.0 - 0.5 / _WINDOW)
     if inner.sum() < _FEWEST:
@@ -79,7 +70,7 @@ def _clipped(
     stands = np.abs(smooth[inner] - limit) < 2.0 * rounding + 0.3 * noise / math.sqrt(_WINDOW)
     if stands.mean() < _STANDS or (varies and np.polyfit(inputs[inner], smooth[inner], 1)[0] > _FOLLOWS):
         return None
-    rows = came & (inputs > limit - _BEYOND * coarse)
+    rows = came & (inputs > limit - _BEYOND * white)
     nats = 0.5 * float(np.sum(((inputs - size)[inner] / coarse) ** 2))
     return limit, max(rounding, noise / math.sqrt(inner.sum())), nats, rows
 

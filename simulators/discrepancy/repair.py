@@ -12,8 +12,6 @@ from drivers.samples import SampleArray, intervals_s
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_REACH = 200  # samples beside a gap, at most, whose mean it is filled from
-
 
 @dataclass(frozen=True)
 class Repaired:
@@ -68,6 +66,8 @@ def repair(samples: SampleArray) -> Repaired:
 class Gaps:
     """Where values are missing, and how they are filled: on straight lines between the means beside each gap.
 
+    A mean is that of as many values as are missing: of fewer, their noise would be there many times over.
+
     ``missing`` (m,) are their places, ``gap`` (m,) the gap of each, ``along`` (m,) how far along it each lies, from 0
     to 1; ``spans`` (gaps, 4) the places where the values before begin and end, and those behind.
     """
@@ -83,7 +83,7 @@ class Gaps:
         """Look at a mask (n,)."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
         first, end = edges[::2], edges[1::2]
-        reach = np.minimum(end - first, _REACH)
+        reach = end - first
         spans = np.column_stack(
             [np.maximum(first - reach, 0), first, end, np.minimum(end + reach, len(missing))]
         ).astype(np.int64)

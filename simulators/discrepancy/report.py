@@ -16,7 +16,7 @@ from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
-from simulators.discrepancy.clipping import Clipped, find_clipped
+from simulators.discrepancy.clipping import find_clipped
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
@@ -27,7 +27,9 @@ from simulators.discrepancy.next_recording import propose, propose_longer, propo
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
+from simulators.discrepancy.read_off import ReadOff
 from simulators.discrepancy.rivals import with_rivals
+from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
@@ -91,14 +93,15 @@ def discrepancy(
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
     mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
-    scenes, stuck, clipped, outliers = [], [], [], []
+    scenes, stuck, read_off, outliers = [], [], [], []
     for scene in mended:
-        within, limits = find_clipped(scene)
-        free, standing = find_stuck(within)
+        within, clipped = find_clipped(scene)
+        heard, silenced = find_silenced(within)
+        free, standing = find_stuck(heard)
         tame, wild = find_outliers(free)
         scenes.append(tame)
         stuck += standing
-        clipped += limits
+        read_off += clipped + silenced
         outliers += wild
     tell(0.1, "listing what could explain")
     library = Library(scenes)
@@ -108,7 +111,7 @@ def discrepancy(
     adopted, fit, bare = searcher.run()
     search = Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
     tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, clipped, outliers)
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, read_off, outliers)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -128,7 +131,7 @@ def _report(
     search: Search,
     mistakes: list[Mistake],
     stuck: list[Stuck],
-    clipped: list[Clipped],
+    read_off: list[ReadOff],
     outliers: list[Outlier],
 ) -> Report:
     evidence = search.evidence
@@ -137,11 +140,11 @@ def _report(
     named, rejected = _kept(search, held)
     noise = name_noise(evidence, search.fit)
     silenced = {a.hypothesis.channel for a in named if isinstance(get_effect(a.hypothesis.effect), SampleEffect)}
-    unexplained = judge(search, named, noise.other, silenced | {one.channel for one in clipped})
+    unexplained = judge(search, named, noise.other, silenced | {one.channel for one in read_off})
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)
-    findings += [_limit_finding(one, scenes) for one in clipped]
+    findings += [_read_off_finding(one, scenes) for one in read_off]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     no_noise = {term["channel"] for term in unexplained.unsteady} | silenced  # a dead band that comes and goes is noise
     findings += [_noise_finding(n, search) for n in noise.found if n.channel not in no_noise]
@@ -320,17 +323,12 @@ def _repair_findings(scenes: list[Scene], stuck: list[Stuck]) -> list[dict[str, 
     return findings
 
 
-def _limit_finding(clipped: Clipped, scenes: list[Scene]) -> dict[str, Any]:
-    values = {
-        "limit": ParameterValue(
-            value=clipped.limit,
-            sigma=clipped.sigma,
-            unit=unit_of(get_effect("saturation").parameters[0], clipped.channel),
-        )
-    }
+def _read_off_finding(one: ReadOff, scenes: list[Scene]) -> dict[str, Any]:
+    parameter = get_effect(one.effect).parameters[0]
+    value = ParameterValue(value=one.value, sigma=one.sigma, unit=unit_of(parameter, one.channel))
     frames = sum(len(scene.time_s) for scene in scenes)
-    before = math.sqrt(1.0 + 2.0 * clipped.nats / frames)
-    return _plain("saturation", clipped.channel, values, clipped.nats, before, 1.0)
+    before = math.sqrt(1.0 + 2.0 * one.nats / frames)
+    return _plain(one.effect, one.channel, {parameter.name: value}, one.nats, before, 1.0)
 
 
 def _noise_finding(noise: NoiseFinding, search: Search) -> dict[str, Any]:

@@ -167,11 +167,16 @@ def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Ar
     if float(np.mean(silent[as_small])) > _MOSTLY:
         return True
     beside = as_small & ~silent
-    jolted = said[beside, None] + white * _NORMAL
     count, others = int(beside.sum()), int(np.count_nonzero(reading[beside]))
-    expected = float(np.sum(np.mean(np.minimum(np.abs(jolted), 1.0), axis=1)))
+    expected = spoken_by_rounding(said[beside], white, 1.0)
     too_few_others = expected > _COUNTED and others < _FEWER * expected - _FEWER_SIGMAS * math.sqrt(expected)
     return too_few_others or count - others > max(_COUNTED, _TOO_MANY * (count - expected))
+
+
+def spoken_by_rounding(inputs: Array, white: float, step: float) -> float:
+    """Return how many of as many inputs (n,) with white noise are read as other than zero in such steps, all [y]."""
+    jolted = np.abs(inputs[:, None] + white * _NORMAL)
+    return float(np.sum(np.mean(np.minimum(jolted / step, 1.0), axis=1))) if step else float(len(inputs))
 
 
 def _mean_run(increment: Array) -> float:

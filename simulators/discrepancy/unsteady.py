@@ -36,7 +36,7 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     raw = scene.measured[:, channel] - scene.predicted[:, channel]
     residual = scene.analysed(raw, channel)
     spread = np.ones(len(residual))
-    still, moving = _regimes(scene, len(residual))
+    still, moving = _regimes(scene, channel, len(residual))
     if not any(rows.any() for rows in moving):
         return residual, spread
     quiet = residual[still] if still.sum() >= _FEWEST else residual
@@ -59,15 +59,16 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     return residual, spread
 
 
-def _regimes(scene: Scene, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
-    """Return where the block stands still, and where it turns and where it is shaken, as analysed."""
+def _regimes(scene: Scene, channel: int, n: int) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
+    """Return where a channel was measured at rest, and where while it turned and while it was shaken, as analysed."""
+    came = ~scene.data.missing[: n * scene.group, channel].reshape(n, scene.group).any(axis=1)
     time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
     turning = np.zeros(n, dtype=np.bool_)
     edge = scene.near_turn_ends(time_s, _EDGE_S)
     for _, turn in scene.turns():
         turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
-    return ~(turning | shaking | edge), [turning & ~edge, shaking & ~edge]
+    return came & ~(turning | shaking | edge), [came & turning & ~edge, came & shaking & ~edge]
 
 
 def _alike(noise: Array, n: int) -> Array:

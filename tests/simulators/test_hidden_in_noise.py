@@ -54,6 +54,30 @@ def test_a_dead_band_of_the_noises_own_width_is_named_and_nothing_of_the_noise_t
     assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
 
 
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("sigmas", [7.0, 40.0])
+def test_a_dead_band_wider_than_the_noise_leaves_no_sample_that_is_known_without_any(
+    monkeypatch: pytest.MonkeyPatch, sigmas: float, *, free: bool
+) -> None:
+    """Nine tenths of all samples are silent. One turn just beyond the band speaks, and a scale error in all turns."""
+    half_width = sigmas * GYRO_SIGMA
+    creep = (205.0, 225.0, float(np.degrees(1.3 * half_width)), 2)
+    monkeypatch.setattr(closed_form, "TURNS", (*closed_form.TURNS, creep))
+
+    def more(_: Truth, readings: np.ndarray) -> None:
+        readings[:, 5] *= 1.002
+
+    case = recording(more, 47)
+    samples = case.samples.copy()
+    samples["dtheta"][np.abs(samples["dtheta"][:, 2]) < half_width / RATE_HZ, 2] = 0.0
+    report = discrepancy([replace(case, samples=samples)], model(free=free))
+    found = {(one["effect"], one["channel"]): one["parameters"] for one in report.findings}
+    assert set(found) == {("dead_band", "gyro_z"), ("scale_factor", "gyro_z")}, report.document["text"]
+    width, error = found["dead_band", "gyro_z"]["half_width"], found["scale_factor", "gyro_z"]["error"]
+    assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
+    assert abs(abs(error["value"]) - 0.002) < 3.3 * error["sigma"]
+
+
 def test_a_telegraph_is_not_sold_as_a_random_walk() -> None:
     """Twenty flips between two levels make up the power of a random walk, not its kind."""
     rng = np.random.default_rng(7)

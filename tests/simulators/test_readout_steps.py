@@ -124,10 +124,13 @@ def test_a_clipped_channel_is_named_with_its_limit_and_no_other_course_is_seen_i
     assert abs(limit["value"] - 5.0) < 3.0 * limit["sigma"]
 
 
-@pytest.mark.parametrize("step", [0.0, STEP_RAD])
-def test_a_limit_met_by_a_turn_at_one_rate_is_told_by_the_noise_that_is_gone(step: float) -> None:
-    """No other turn is as fast: any curve that bends beyond 9 deg/s explains the mean, and keeps the noise."""
-    case, limit = recording(None, 34), np.radians(17.5)
+@pytest.mark.parametrize(("step", "beyond"), [(0.0, 9e-3), (STEP_RAD, 9e-3), (STEP_RAD, 8e-5)])
+def test_a_limit_met_by_a_turn_at_one_rate_is_told_by_the_noise_that_is_gone(step: float, beyond: float) -> None:
+    """No other turn is as fast: any curve that bends beyond 9 deg/s explains the mean, and keeps the noise.
+
+    The input is beyond the limit [rad/s] by so many steps, or by one and six σ.
+    """
+    case, limit = recording(None, 34), np.radians(18.0) - beyond
     samples = case.samples.copy()
     samples["dtheta"][:, 2] = np.clip(samples["dtheta"][:, 2] * RATE_HZ, -limit, limit) / RATE_HZ
     if step:
