@@ -10,6 +10,9 @@ population is well enough known to add nothing, and beside it stands the design 
 binomial variance; 1: blocks are as good as independent), which tells whether it is, and how many fleets lie within the
 band of their own intervals.
 
+The part ``known`` makes the same forecasts with the planted law and sizes in place of what is found of them: what the
+method itself covers, where nothing is left to be learnt of the population.
+
     python -m benchmarks.ageing --fleets 5 --json FILE [--laws linear,logarithmic] [--blocks 200] [--parts coverage]
 """
 
@@ -21,19 +24,22 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binom, poisson
 
 from benchmarks.__main__ import replace_table
-from inertial.ageing import TermHistories, best_sizes
+from inertial.ageing import DRAWS, PopulationFit, Sizes, TermHistories, best_sizes
 from inertial.ageing_fleet import KINDS, TERMS, analyse_fleet, steps_of_a_kind
-from inertial.ageing_forecast import HORIZON_MONTHS, PROBABILITY
+from inertial.ageing_forecast import HORIZON_MONTHS, PROBABILITY, Leaving, leaving, leaving_months
+from inertial.ageing_law import DriftLaw
 from inertial.ageing_steps import FALSE_ALARMS_PER_BLOCK_YEAR, Step, predicted_sigma
-from simulators.fleet import FleetTerm, Shock, TermLaw, simulate_term
+from simulators.fleet import LAWS, FleetTerm, Shock, TermLaw, simulate_term
 
 BLOCKS = 200
 HISTORY_MONTHS = 24
@@ -81,6 +87,34 @@ def shaken(case: str, seed: int, blocks: int, shocks: dict[str, tuple[Shock, ...
     }
 
 
+@dataclass(frozen=True)
+class PlantedLaw(DriftLaw):
+    """A drift law as it was planted, whether the fitted family holds it or not."""
+
+    name: str = ""
+
+    def growth(self, months: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the drift by months, 1 after a year."""
+        return np.asarray(LAWS[self.name](months))
+
+
+def known(case: str, blocks: int, seed: int) -> dict[str, Any]:
+    """Forecast one fleet by the law and sizes that it was made of; return as :func:`coverage`."""
+    began = time.process_time()
+    terms = fleet(case, seed, blocks, HISTORY_MONTHS, HISTORY_MONTHS + HORIZON_MONTHS)
+    paths = []
+    for number, (name, term) in enumerate(terms.items()):
+        planted = TermLaw(spread=SPREAD[name[-1]], **CASES[case])
+        sizes = Sizes(
+            PlantedLaw(0.0, 0.0, 0.0, 0.0, planted.law),
+            *(planted.mean, planted.spread, planted.offset, planted.walk, planted.scatter),
+            planted.relaxation_months or math.inf,
+        )
+        paths.append(leaving_months(term.histories, PopulationFit(sizes, (sizes,) * DRAWS), LIMIT, number))
+    first = np.min(paths, axis=0)
+    return _judged_intervals([leaving(first[block]) for block in range(blocks)], terms, 0, blocks, began)
+
+
 def coverage(case: str, blocks: int, seed: int) -> dict[str, Any]:
     """Forecast one fleet; return how many intervals there are, and how many hold the truth."""
     began = time.process_time()
@@ -88,21 +122,26 @@ def coverage(case: str, blocks: int, seed: int) -> dict[str, Any]:
     names = [f"block {number}" for number in range(blocks)]
     histories = {name: (names, term.histories) for name, term in terms.items()}
     found = analyse_fleet(histories, dict.fromkeys(TERMS, LIMIT), FALSE_ALARMS_PER_BLOCK_YEAR)
+    alarms = sum(len(block) for term in found.terms.values() for block in term.steps)
+    return _judged_intervals([found.leaving[name] for name in names], terms, alarms, blocks, began)
+
+
+def _judged_intervals(
+    forecasts: list[Leaving], terms: dict[str, FleetTerm], alarms: int, blocks: int, began: float
+) -> dict[str, Any]:
     truth = np.min([term.leaves_months(LIMIT) for term in terms.values()], axis=0)
     inside, widths = [], []
-    for name, when in zip(names, truth, strict=True):
-        one = found.leaving[name]
+    for one, when in zip(forecasts, truth, strict=True):
         if max(one.outside_now, one.beyond_horizon) > TRIVIAL:
             continue
         low, high = (math.inf if end is None else end for end in (one.low, one.high))
         inside.append(low <= when <= high)
         widths.append(high - low)
-    steps = sum(len(block) for term in found.terms.values() for block in term.steps)
     return {
         "intervals": len(inside),
         "inside": int(sum(inside)),
         "median_width_months": float(np.median(widths)),
-        "false_alarms": steps,
+        "false_alarms": alarms,
         "block_years": blocks * HISTORY_MONTHS / 12.0,
         "cpu_s": time.process_time() - began,
     }
@@ -207,12 +246,16 @@ def main() -> None:
     parser.add_argument("--fleets", type=int, default=5, help="of each law (default 5)")
     parser.add_argument("--blocks", type=int, default=BLOCKS, help="of each fleet (default 200)")
     parser.add_argument("--laws", default=",".join(CASES), help="some of them, by name")
-    parser.add_argument("--parts", default="coverage,steps", help="coverage, steps or both")
+    parser.add_argument("--parts", default="coverage,steps", help="coverage, steps, known or some")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     seeds = range(arguments.seed, arguments.seed + arguments.fleets)
-    kinds = {"coverage": (coverage, judged_coverage), "steps": (steps, judged_steps)}
+    kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+        "coverage": (coverage, judged_coverage),
+        "steps": (steps, judged_steps),
+        "known": (known, judged_coverage),
+    }
     figures: dict[str, Any] = {"fleets": arguments.fleets, "blocks": arguments.blocks}
     with ProcessPoolExecutor(arguments.workers) as pool:
         for part in arguments.parts.split(","):
