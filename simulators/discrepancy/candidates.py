@@ -58,7 +58,7 @@ SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
 TIME_S = 1e-4
 ANGLE = 1e-5
-ACROSS_S = 4e-3
+ACROSS_S = 5e-3
 """How near a turn's start or end is to a sample's edge that it may lie beyond it."""
 TIMING_SIGMA_S = 1e-3
 """How well a schedule is kept where nothing is said of it: as a whole, and each start and end of a turn."""

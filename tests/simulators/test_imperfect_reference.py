@@ -159,3 +159,20 @@ def test_a_span_is_widened_to_where_it_was_felt_and_no_further(late_s: float, st
     (found,) = spans_as_shaken(setup, time_s, residual, missing).motions
     assert found.start_s == pytest.approx(60.0 + min(late_s, 0.0), abs=0.03)
     assert found.end_s == pytest.approx(120.0 + max(late_s, 0.0), abs=0.03)
+
+
+def test_a_turn_that_begins_in_the_sample_before_the_stated_one_is_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stated 4.2 ms after a sample's edge, it begins 0.2 ms before: the rate jumps where none is foretold to."""
+    stated_s, real_s, end_s, angle_deg = 50.0042, 49.9998, 60.0, 90.0
+    real = (real_s, end_s, angle_deg / (end_s - real_s), 1)
+    monkeypatch.setattr(closed_form, "TURNS", (closed_form.TURNS[0], real, *closed_form.TURNS[2:]))
+    sample = round(50.0 * closed_form.RATE_HZ) - 1
+
+    def begun(_: closed_form.Truth, readings: np.ndarray) -> None:
+        readings[sample, 4] += math.radians(real[2]) * (50.0 - real_s) * closed_form.RATE_HZ
+
+    case = closed_form.recording(begun, 88)
+    meta = case.meta.model_dump(exclude_none=True)
+    meta["motion"][1] |= {"start_s": stated_s, "rate_dps": angle_deg / (end_s - stated_s)}
+    report = discrepancy([replace(case, meta=RecordingMeta.model_validate(meta))], closed_form.model())
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]
