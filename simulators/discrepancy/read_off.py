@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -14,3 +15,18 @@ class ReadOff:
     value: float
     sigma: float
     nats: float
+
+
+def combined(found: Sequence[ReadOff]) -> list[ReadOff]:
+    """Return each effect of each sensor once, with the weighted mean of what several recordings say of it."""
+    names = dict.fromkeys((one.effect, one.channel) for one in found)
+    return [_mean([one for one in found if (one.effect, one.channel) == name]) for name in names]
+
+
+def _mean(same: Sequence[ReadOff]) -> ReadOff:
+    surest = min(same, key=lambda one: one.sigma)
+    if len(same) == 1 or surest.sigma == 0.0:
+        return surest
+    weights = [one.sigma**-2.0 for one in same]
+    value = sum(weight * one.value for weight, one in zip(weights, same, strict=True)) / sum(weights)
+    return ReadOff(same[0].effect, same[0].channel, value, sum(weights) ** -0.5, sum(one.nats for one in same))

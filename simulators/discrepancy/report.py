@@ -27,7 +27,7 @@ from simulators.discrepancy.next_recording import propose, propose_longer, propo
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
-from simulators.discrepancy.read_off import ReadOff
+from simulators.discrepancy.read_off import ReadOff, combined
 from simulators.discrepancy.rivals import with_rivals
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck
@@ -111,7 +111,7 @@ def discrepancy(
     adopted, fit, bare = searcher.run()
     search = Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
     tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, read_off, outliers)
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")

@@ -294,3 +294,20 @@ def test_larger_white_noise_takes_its_rounding_along() -> None:
         coefficient = found["parameters"]["coefficient"]
         off.append((coefficient["value"] - more) / coefficient["sigma"])
     assert abs(np.mean(off)) < 3.29 / np.sqrt(runs), off
+
+
+def test_a_limit_that_two_recordings_meet_is_one_finding_known_the_better_for_it() -> None:
+    limit, cases = 5.0, []
+    for seed in (33, 34):
+        case = recording(None, seed)
+        samples = case.samples.copy()
+        samples["dv"][:, 1] = np.clip(samples["dv"][:, 1], -limit / RATE_HZ, limit / RATE_HZ)
+        cases.append(replace(case, samples=samples))
+    one, both = (discrepancy(some, model()) for some in (cases[:1], cases))
+    (alone,), (together,) = (
+        [found["parameters"]["limit"] for found in report.findings if found["effect"] == "saturation"]
+        for report in (one, both)
+    )
+    assert together["sigma"] < alone["sigma"]
+    assert abs(together["value"] - limit) < 3.3 * together["sigma"]
+    assert sum(entry.effect == "saturation" for entry in both.model.effects) == 1
