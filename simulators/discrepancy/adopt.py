@@ -373,9 +373,10 @@ class Searcher:
         if h.shape["frequency"] < scene.freely_rounded_hz(column):
             return False
         if column not in self._rounding:
-            white = ROUNDED_AT[0] * float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
-            noise = getattr(scene.model.noise, h.channel).model_copy(update={"white": white})
-            self._rounding[column] = largest_line(scene, column, noise)
+            noise = getattr(scene.model.noise, h.channel)
+            found = float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
+            least = ROUNDED_AT[0] * min(found, noise.white or math.inf)
+            self._rounding[column] = largest_line(scene, column, noise.model_copy(update={"white": least}))
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         return size < self._rounding[column]
 

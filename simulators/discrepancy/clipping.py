@@ -57,7 +57,8 @@ def _clipped(
     rounding = step / _WINDOW
     largest = came & (inputs >= np.quantile(inputs[came], 1.0 - _FEWEST / max(came.sum(), _FEWEST)))
     limit = float(np.median(size[largest]))
-    coarse, white = max(noise, step), max(float(scene.noise_sigma[column]), _RESOLUTION * step)
+    # What a limit does to slow noise, single samples hardly show.
+    coarse, white = max(noise, step), max(min(noise, float(scene.noise_sigma[column])), _RESOLUTION * step)
     beyond = came & (inputs > limit + _BEYOND * white)
     # Not those where the input comes or goes within the window.
     inner = beyond & (uniform_filter1d(beyond.astype(np.float64), _WINDOW, mode="nearest") > 1.0 - 0.5 / _WINDOW)
