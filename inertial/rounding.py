@@ -80,6 +80,15 @@ def _counted(beyond: Array, step: float, error: float) -> Array:
         error = finer
 
 
+def rounded_steps(advance: Array, sigma: float, random: np.random.Generator) -> Array:
+    """Return one draw of the whole steps (n,) that are read of an integral that moves by ``advance`` (n,) a sample.
+
+    And by ``sigma`` at random, both in steps; where between two thresholds it begins is random too.
+    """
+    total = random.random() + np.cumsum(advance + sigma * random.standard_normal(advance.size))
+    return np.asarray(np.diff(np.rint(total), prepend=0.0))
+
+
 def power_scatter(advance: Array, sigma: float, bounds: npt.NDArray[np.int64]) -> Array:
     """Return by how much the power of increments scatters from record to record, over what Gaussian noise's does.
 
@@ -98,8 +107,7 @@ def power_scatter(advance: Array, sigma: float, bounds: npt.NDArray[np.int64]) -
     """
     random, counts, powers = np.random.default_rng(advance.size), np.diff(bounds), []
     for _ in range(_DRAWS):
-        total = random.random() + np.cumsum(advance + sigma * random.standard_normal(advance.size))
-        power = np.square(dct(np.diff(np.rint(total), prepend=0.0) - advance, norm="ortho"))
+        power = np.square(dct(rounded_steps(advance, sigma, random) - advance, norm="ortho"))
         powers.append(np.add.reduceat(power, bounds[:-1]) / counts)
     mean = np.maximum(np.mean(powers, axis=0), np.finfo(np.float64).tiny)
     return np.asarray(0.5 * counts * np.var(powers, axis=0, ddof=1) / mean**2)

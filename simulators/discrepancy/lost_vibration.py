@@ -45,10 +45,8 @@ def missed_mean_sigma(vibration: Array, came: NDArray[np.bool_]) -> float:
 
 def _variance_of_sum(total: Array, known: NDArray[np.int64], length: int) -> float:
     """Return the variance of the sum of so many samples in a row, or of as many shorter parts as make them up."""
-    for parts in range(1, length + 1):
+    parts, part = 1, length
+    while (whole := known[part:] - known[:-part] == part).sum() < _FEWEST and part > 1:
+        parts += 1
         part = -(-length // parts)
-        whole = known[part:] - known[:-part] == part
-        if whole.sum() >= _FEWEST or part == 1:
-            sums = (total[part:] - total[:-part])[whole]
-            return parts * float(np.mean(sums**2)) if sums.size else 0.0
-    return 0.0
+    return parts * float(np.mean((total[part:] - total[:-part])[whole] ** 2))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import ChannelNoise
+from inertial.rounding import rounded_steps
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.whitening import freely_rounded_hz
 
@@ -28,9 +29,7 @@ def rounding_errors(scene: Scene, column: int, noise: ChannelNoise) -> Iterator[
     advance = np.pad(advance, (0, len(scene.time_s) - len(advance)), mode="edge")
     rng = np.random.default_rng(advance.size)
     for _ in range(_DRAWS):
-        moved = advance + sigma * rng.standard_normal(advance.size)
-        steps = np.diff(np.rint(rng.random() + np.cumsum(moved)), prepend=0.0)
-        yield scene.analysed((steps - advance) / per_step, column)
+        yield scene.analysed((rounded_steps(advance, sigma, rng) - advance) / per_step, column)
 
 
 def largest_line(scene: Scene, column: int, noise: ChannelNoise) -> float:
