@@ -54,11 +54,23 @@ class Seen:
         self.page.goto(address)
 
 
+SAYS_STALE = """() => {
+    const verdict = document.querySelector(".verdict");
+    return document.querySelector("#stale").textContent !== "" &&
+        { verdict: verdict.dataset.verdict, word: verdict.querySelector(".word").innerText };
+}"""
+
+
 def stale(page: Page) -> None:
-    page.wait_for_selector("#stale:not(:empty)")
+    """Wait until the page says STALE; the verdict of that very moment must not be a good one."""
+    shown = page.wait_for_function(SAYS_STALE).json_value()
+    assert shown["verdict"] == "warn"
+    assert "FIT" not in shown["word"]
 
 
 def fresh(page: Page) -> None:
+    """Wait until the page has heard the service; before it has, it neither warns nor knows."""
+    page.wait_for_selector(".verdict:not([data-verdict=warn]) .word")
     page.wait_for_selector("#stale:empty", state="attached")
 
 
@@ -71,8 +83,6 @@ def earliest(break_it: Callable[[], None], mend: Callable[[], None], page: Page)
         break_it()
         stale(page)
         took.append(time.monotonic() - began)
-        assert page.locator(".verdict").get_attribute("data-verdict") == "warn"
-        assert "FIT" not in page.locator(".verdict .word").inner_text()
         mend()
         if took[-1] <= STALE_WITHIN_S:
             break
