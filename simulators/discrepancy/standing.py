@@ -26,11 +26,15 @@ _SHORT_RUN = 6
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
+_NEAR_SHARE = 0.8  # ... of that, what its nearest neighbours say, who are few
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
+_ROUNDED = 1.0 / 6.0  # variance of a sum in steps whose ends are rounded [step²]
 _LEAP = 3  # samples behind a run by which a leap is told
 _SWING, _AS_FAR = 10, 0.7  # times its length on either side that a swing is looked for, and share of a run's sum
 _BESIDE = 50  # samples beside a run that say how it would have been shaken
-_BLOCK = 32
+_BLOCK, _FEWEST_BLOCKS = 32, 8
+_LESSER, _LESSER_SQUARES = 0.6, 0.2147  # of squares, and the mean of so many of a normal distribution's
+_LEAST_NOISE = 0.05  # of a step
 _EDGE_S = 0.1  # about the ends of a turn
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
@@ -63,7 +67,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
         shaken = _vibrated(scene, column)[came] * interval[came]
         # That a turn ends late is no reading that stood still.
-        settled = np.where(changing[came], np.median(off), off)
+        settled = _without(off, changing[came])
         for first, last in _standing(increment, (off, settled), said, white_by_model, shaken, tilted=column < 3):
             start, end = int(came[first]), int(came[last])
             if last - first + 1 < _SHORT_RUN and changing[start]:
@@ -74,6 +78,19 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
             sigma_s = scene.seen.interval_s * max(1.0, _mean_run(increment))
             found.append(Stuck(channel, float(data.edges_s[start]), duration_s, sigma_s))
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
+
+
+def _without(off: Array, ends: NDArray[np.bool_]) -> Array:
+    """Return what is off (n,) with what lies about the ends of turns taken for as large as what is beside it."""
+    kept = np.flatnonzero(~ends)
+    if kept.size < 2 * _ASIDE:
+        return off
+    blocks = np.array_split(kept, kept.size // _ASIDE)
+    means = [float(off[block].mean()) for block in blocks]
+    beside = np.interp(np.flatnonzero(ends), [float(block.mean()) for block in blocks], means)
+    settled = off.copy()
+    settled[ends] = beside
+    return settled
 
 
 def _vibrated(scene: Scene, column: int) -> Array:
@@ -111,14 +128,18 @@ def _standing(
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     first, last = edges[::2], edges[1::2]
     lengths = last - first
-    step, noise = _step(increment), _noise(off)
+    step = _step(increment)
+    quiet = off[shaken == 0.0]  # where it is shaken it is never off: the course is the reading's own
+    quiet = quiet if quiet.size > _FEWEST_BLOCKS * _BLOCK else off
+    noise = _noise(quiet, step)
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
-    changes = np.sort(np.abs(np.diff(off)))
+    changes = np.sort(np.abs(np.diff(quiet)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     by_custom = _longest_by_custom(lengths, same.size)
     white = min(fast, white_by_model)
     longest = np.full(lengths.size, max(longest_by_rounding(white / step, same.size), by_custom))
-    for run, jolt in enumerate(_jolts(shaken, first, last)):
+    jolts = _jolts(shaken, first, last)
+    for run, jolt in enumerate(jolts):
         if jolt > white:
             longest[run] = min(longest[run], max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN))
     candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment, said, first, last, step)
@@ -128,8 +149,8 @@ def _standing(
         candidate &= ~at_zero
     candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
     found = []
-    for a, b, chance in zip(first[candidate], last[candidate], longest[candidate], strict=True):
-        as_is, without_ends = (_astray(one, int(a), int(b), step, noise) for one in offs)
+    for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
+        as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
         # A turn that comes late leaves an attitude late, not all at once right when a register is let go.
         astray = as_is if tilted and _let_go(off, int(b), step, noise) else min(as_is, without_ends)
         short = b - a < _SHORT_RUN
@@ -191,13 +212,21 @@ def _step(increment: Array) -> float:
     return float(apart.min()) if apart.size else math.inf
 
 
-def _noise(increment: Array) -> float:
-    """Return the σ of a sample's noise before it was rounded, from sums over blocks, which rounding hardly touches."""
+def _noise(increment: Array, step: float) -> float:
+    """Return the σ of a sample's noise before it was rounded, from sums over blocks, which rounding hardly touches.
+
+    By their second differences, the lesser ones, so that a part of the record that is shaken or turned does not count.
+    In these are four rounding errors of one step's width, times 1, 3, 3 and 1. No noise is taken to be so little that
+    only rounding is left: nobody predicts an input as well as that.
+    """
     count = increment.size // _BLOCK
-    if count < 8:
+    if count < _FEWEST_BLOCKS:
         return 0.0
     sums = increment[: count * _BLOCK].reshape(count, _BLOCK).sum(axis=1)
-    return 1.4826 * float(np.median(np.abs(np.diff(sums, 2)))) / math.sqrt(6.0 * _BLOCK)
+    squares = np.sort(np.square(np.diff(sums, 2)))
+    lesser = float(np.mean(squares[: max(int(_LESSER * squares.size), 1)])) / _LESSER_SQUARES
+    rounding = 20.0 / 12.0 * step**2 if math.isfinite(step) else 0.0
+    return math.sqrt(max((lesser - rounding) / (6.0 * _BLOCK), (_LEAST_NOISE * step) ** 2 if rounding else 0.0))
 
 
 def longest_by_rounding(steps: float, size: int) -> float:
@@ -229,7 +258,7 @@ def _may_be_astray(
     run = sums[last + 1] - sums[first + 1]
     count = last - first
     beside = (sums[high] - sums[low] - run) / np.maximum(high - low - count, 1)
-    return np.asarray(np.abs(run - count * beside) - 2.0 * step > 0.5 * _ASTRAY * noise * np.sqrt(count))
+    return np.asarray(np.abs(run - count * beside) - step > 0.5 * _ASTRAY * noise * np.sqrt(count))
 
 
 def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
@@ -240,7 +269,8 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
     """
     if _swings(off, a, b):
         return 0.0
-    return min(_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
+    far, near = (_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
+    return min(far, near / _NEAR_SHARE)
 
 
 def _let_go(off: Array, b: int, step: float, noise: float) -> bool:
@@ -253,9 +283,9 @@ def _swings(off: Array, a: int, b: int) -> bool:
     """Whether as many samples near a run add up to as much, a good part of it, beyond what is usual there."""
     count = b - a
     low, high = max(a + 1 - _SWING * count, 0), min(b + 1 + _SWING * count, off.size)
-    usual = float(np.median(off[low:high]))
-    sums = np.concatenate([[0.0], np.cumsum(off[low:high] - usual)])
-    windows = np.abs(sums[count:] - sums[:-count])
+    sums = np.concatenate([[0.0], np.cumsum(off[low:high])])
+    windows = sums[count:] - sums[:-count]
+    windows = np.abs(windows - np.median(windows))  # of sums: the middle one of coarse readings is no mean
     own = a + 1 - low
     beside = np.concatenate([windows[: max(own - count, 0)], windows[own + count :]])
     return bool(np.max(beside, initial=0.0) > _AS_FAR * windows[own])
@@ -264,8 +294,8 @@ def _swings(off: Array, a: int, b: int) -> bool:
 def _off_beside(off: Array, a: int, b: int, step: float, noise: float, aside: int) -> float:
     """Return :func:`_astray` by so many samples on either side.
 
-    What the sum may be off is noise, rounding of the run and of its neighbours, and what these differ by among
-    themselves.
+    What the sum may be off is noise, rounding of the run, by one step at most, and of its neighbours, and what these
+    differ by among themselves.
     """
     count = b - a
     sides = (off[max(0, a - aside) : max(0, a - 1)], off[b + 2 : b + 2 + aside])
@@ -274,9 +304,10 @@ def _off_beside(off: Array, a: int, b: int, step: float, noise: float, aside: in
         return 0.0
     means = np.array([float(half.mean()) for half in halves])
     fewest = min(half.size for half in halves)
-    # What noise makes them differ by is counted once, with that of the run itself.
-    apart = math.sqrt(max(float(np.ptp(means)) ** 2 - 16.0 * noise**2 / fewest, 0.0))
+    # What noise and rounding make them differ by is counted once, with that of the run itself.
+    alike = 16.0 * noise**2 / fewest + (2.0 * step / fewest) ** 2
+    apart = math.sqrt(max(float(np.ptp(means)) ** 2 - alike, 0.0))
     sigma = noise * math.sqrt(count * (1.0 + count / (len(halves) * fewest)))
-    rounded = step * count / fewest
-    astray = abs(float(np.sum(off[a + 1 : b + 1])) - count * float(means.mean())) - 2.0 * step
+    rounded = step * count / fewest * math.sqrt(_ROUNDED / len(halves))
+    astray = abs(float(np.sum(off[a + 1 : b + 1])) - count * float(means.mean())) - step
     return astray / max(math.hypot(sigma, count * apart, rounded), 1e-300)

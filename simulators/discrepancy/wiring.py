@@ -20,10 +20,12 @@ from simulators.effects.unit_error import FACTORS
 Array = NDArray[np.float64]
 
 _BLOCK_S = 2.0
+_PARTS = 8  # of a block, whose means say how large the noise is
 _LEAST = 60.0  # by how much χ² must fall
 _SHARE = 0.05  # of χ² that may be left
 _MISFIT = 0.1  # of the signal that may be left: other effects may be there too
 _COINCIDENCE = 0.02  # how close a ratio must come to that of two units
+_SHARP = 0.01  # share of itself within which it must be known, or anything may come as close
 _STEP_COINCIDENCE = 0.001  # ... one of two steps
 _STEADY = 0.02  # share of itself by which an input that stands still may move
 _ROUND = (2.0, 10.0, 1e3)  # ratios that steps have for other reasons too
@@ -129,9 +131,11 @@ def _best(scenes: list[Scene], first: int) -> tuple[list[int], list[float], list
             if power == 0.0:
                 continue
             slope = float(m @ p) / power
+            sharp = float(np.mean(s)) / np.sqrt(power) < _SHARP * abs(slope)
             for factor in (sign * ratio for ratio in ratios for sign in (1.0, -1.0)):
                 plain = j == c and factor == 1.0
-                if plain or (abs(factor) != 1.0 and (j != c or abs(slope / factor - 1.0) > _COINCIDENCE)):
+                is_unit = j == c and sharp and abs(slope / factor - 1.0) < _COINCIDENCE
+                if plain or (abs(factor) != 1.0 and not is_unit):
                     continue
                 left = float(np.sum(((m - factor * p) / s) ** 2))
                 noise = float(np.sum(s**2))
@@ -153,9 +157,15 @@ def _block_means(scene: Scene, first: int) -> tuple[Array, Array, Array]:
     count = max(len(scene.measured) // size, 1)
     rows = slice(0, count * size)
     columns = slice(first, first + 3)
-    measured = scene.measured[rows, columns].reshape(count, -1, 3).mean(axis=1)
-    predicted = scene.predicted[rows, columns].reshape(count, -1, 3).mean(axis=1)
-    residual = scene.measured[:, columns] - scene.predicted[:, columns]
-    noise = 1.4826 * np.median(np.abs(np.diff(residual, 2, axis=0)), axis=0) / np.sqrt(6.0)
-    sigma = np.maximum(noise / np.sqrt(size), 1e-7 * np.max(np.abs(predicted), initial=1e-12))
+    # Shaking is predicted as the accelerometer that should feel it read it: no witness against an exchange of two.
+    quiet = ~scene.shaking()[rows].reshape(count, -1).any(axis=1)
+    kept = quiet if quiet.any() else ~quiet
+    measured = scene.measured[rows, columns].reshape(count, -1, 3).mean(axis=1)[kept]
+    predicted = scene.predicted[rows, columns].reshape(count, -1, 3).mean(axis=1)[kept]
+    # Of means over parts of a block: most readings in coarse steps are the same as the next.
+    part = max(1, size // _PARTS)
+    residual = (scene.measured - scene.predicted)[: len(scene.measured) // part * part, columns]
+    means = residual.reshape(-1, part, 3).mean(axis=1)
+    noise = 1.4826 * np.median(np.abs(np.diff(means, 2, axis=0)), axis=0) / np.sqrt(6.0)
+    sigma = np.maximum(noise * np.sqrt(part / size), 1e-7 * np.max(np.abs(predicted), initial=1e-12))
     return measured, predicted, sigma

@@ -155,6 +155,22 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
 
 
+def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -> None:
+    """What shakes the other sensor has no mean of nought over two seconds: the blocks without it tell."""
+    case = recording(None, 37)
+    samples, rng = case.samples.copy(), np.random.default_rng(37)
+    shaken = (samples["time"] > 205.0) & (samples["time"] <= 235.0)
+    course = rng.standard_normal(int(shaken.sum()))
+    samples["dv"][shaken, 1] += 150.0 / RATE_HZ * (course - course.mean())
+    samples["dv"] = samples["dv"][:, [1, 0, 2]]
+    motion = {"kind": "vibration", "start_s": 205.0, "end_s": 235.0, "grms": 15.0, "band_hz": [0.1, 10.0]}
+    meta = case.meta.model_dump(exclude_none=True)
+    meta["motion"].append({**motion, "axis": [0.0, 1.0, 0.0]})
+    wrong = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+    report = discrepancy([wrong], model())
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("axis_swap", "accel_x<-accel_y")]
+
+
 def test_sensors_exchanged_while_shaken_have_each_their_own_course_and_noise() -> None:
     case = recording(None, 36)
     samples, rng = case.samples.copy(), np.random.default_rng(36)

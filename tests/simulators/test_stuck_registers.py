@@ -61,6 +61,25 @@ def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float
     assert not scene.data.missing[:, 1:].any()
 
 
+@pytest.mark.parametrize(("noise_steps", "count"), [(0.15, 30), (0.2, 60), (0.3, 60)])
+def test_a_register_that_stands_still_for_no_longer_than_rounding_may_is_found_by_its_sum(
+    noise_steps: float, count: int
+) -> None:
+    """Rounding is off a sum by one step at most; this one by five and more, where the reading stood to one side."""
+    case, step = recording(None, 21, moving=False), 0.3 * STEP_MPS / noise_steps
+    samples = case.samples.copy()
+    rates = samples["dv"][:, 0] - samples["dv"][:, 0].mean() + 7.27 * step
+    samples["dv"][:, 0] = np.diff(np.rint(np.cumsum(rates) / step), prepend=0.0) * step
+    coarse_case = dataclasses.replace(case, samples=samples)
+    assert find_stuck(compare(coarse_case, model()))[1] == []
+    first = int(np.flatnonzero(samples["dv"][2000:, 0] < 7.5 * step)[0]) + 2001
+    samples["dv"][first : first + count, 0] = samples["dv"][first - 1, 0]
+    (found,) = find_stuck(compare(coarse_case, model()))[1]
+    assert found.channel == "accel_x"
+    assert found.start_s == pytest.approx(first / RATE_HZ, abs=5 / RATE_HZ)
+    assert found.duration_s == pytest.approx(count / RATE_HZ, abs=10 / RATE_HZ)
+
+
 def test_a_knock_that_some_readings_share_is_no_stuck_register_at_rest() -> None:
     """Steps so coarse that the noise never shows: five readings a step up now and then, as somebody walks past."""
     case = recording(None, 12, moving=False)
