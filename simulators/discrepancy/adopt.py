@@ -23,7 +23,7 @@ from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.look import Look
-from simulators.discrepancy.rounding_errors import largest_line
+from simulators.discrepancy.rounding_errors import largest_lines
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
 
@@ -123,7 +123,7 @@ class Searcher:
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
         self._ranked: deque[tuple[Fit, tuple[Hypothesis, ...], list[Scored]]] = deque(maxlen=_RANKED)
-        self._rounding: dict[int, float] = {}
+        self._rounding: dict[int, tuple[Array, Array]] = {}
 
     def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
         """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
@@ -376,9 +376,9 @@ class Searcher:
             noise = getattr(scene.model.noise, h.channel)
             found = float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
             least = ROUNDED_AT[0] * min(found, noise.white or math.inf)
-            self._rounding[column] = largest_line(scene, column, noise.model_copy(update={"white": least}))
+            self._rounding[column] = largest_lines(scene, column, noise.model_copy(update={"white": least}))
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
-        return size < self._rounding[column]
+        return size < float(np.interp(h.shape["frequency"], *self._rounding[column]))
 
     def _leaders(
         self, current: Fit, adopted: Sequence[Hypothesis], looks: Sequence[Look]

@@ -4,7 +4,8 @@ For each quarter that is held out, amplitudes and noise are fitted on the other 
 what is held out, before and after. A name stays if what is held out is more probable with it, all that the other blocks
 leave open taken into account; an amplitude of which they say nothing is nothing, give or take the effect's size. What
 the reference was off by in a block held out (a turn that came late) no other block can tell: it is fitted there, within
-its own σ, before and after alike.
+its own σ, before and after alike. What is known of the reference is held out in its turn: blocks that an attitude
+explains as well as an effect do not speak against the effect where the attitude would have to be far off its σ.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 
 FOLDS = 4
 _BLOCK_S = 4.0
+_UNKNOWN = 1e-6  # of what is known of the reference, where it is held out
 _ROUNDS = 2  # of amplitudes and noise
 
 
@@ -58,6 +60,8 @@ class HeldOut:
         self._seen: list[tuple[Array, Array]] = []
         self._unseen: list[tuple[Array, Array]] = []
         self._circumstance = np.array([i in self._prior for i in fit.ids], dtype=np.bool_)
+        whole = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
+        self._whole = self._products(whole, range(FOLDS))
         for fold in range(FOLDS):
             weights = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
             for _ in range(_ROUNDS):
@@ -92,10 +96,16 @@ class HeldOut:
         That is of the probabilities of what is held out, given the other blocks, with all that these leave open of
         every amplitude: an effect that shows in a single block is predicted by no other, but not contradicted either.
         """
-        some = [p for p, i in enumerate(self._ids) if i not in columns]
-        return 2.0 * sum(
-            self._log_predicted(fold, range(len(self._ids))) - self._log_predicted(fold, some) for fold in range(FOLDS)
-        )
+        every, some = range(len(self._ids)), [p for p, i in enumerate(self._ids) if i not in columns]
+        blocks = sum(self._log_predicted(fold, every) - self._log_predicted(fold, some) for fold in range(FOLDS))
+        return 2.0 * (blocks + self._log_reference(every) - self._log_reference(some))
+
+    def _log_reference(self, keep: Sequence[int]) -> float:
+        """Return :meth:`_log_predicted` of what is known of the reference, given all blocks."""
+        matrix, right = self._whole
+        known = np.where(self._circumstance, (1.0 - _UNKNOWN) * np.diag(self._steady), 0.0)
+        square = np.ix_(keep, keep)
+        return _log_weight(matrix[square], right[keep]) - _log_weight((matrix - np.diag(known))[square], right[keep])
 
     def _log_predicted(self, fold: int, keep: Sequence[int]) -> float:
         """Return ln of the probability of one fold given the others, but for what is the same whatever is kept."""

@@ -36,7 +36,7 @@ from simulators.discrepancy.whitening import LEVELS
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
 from simulators.discrepancy.words import in_words
 from simulators.effects import get_effect
-from simulators.effects.base import SampleEffect, Stage, unit_of
+from simulators.effects.base import SampleEffect, unit_of
 from simulators.model_store import save_model
 
 Array = NDArray[np.float64]
@@ -205,8 +205,7 @@ def _refused(h: Hypothesis, search: Search, held: HeldOut) -> str | None:
     if h.unit_amplitude:
         return None
     gained = held.gained(h.columns)
-    # An error of the set-up beyond its σ the reference's own columns take on in all blocks but the first.
-    if gained <= 0.0 and get_effect(h.effect).stage is not Stage.SETUP:
+    if gained <= 0.0:
         return f"does not predict held-out data better (by {gained:.1f} in χ²)"
     whole, but_one = gains_but_one(search.evidence, h, search.fit)
     if but_one < min(0.5 * whole, MARGIN + len(h.columns)):

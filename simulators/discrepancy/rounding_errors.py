@@ -7,15 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from inertial.documents import ChannelNoise
 from inertial.rounding import rounded_steps
 from simulators.discrepancy.compare import Scene
-from simulators.discrepancy.whitening import freely_rounded_hz
 
 Array = NDArray[np.float64]
 
 _DRAWS = 40
+_NEAR_HZ = 2.0  # by how much a line of the rounding errors may be elsewhere in what was measured
 
 
 def rounding_errors(scene: Scene, column: int, noise: ChannelNoise) -> Iterator[Array]:
@@ -32,11 +33,15 @@ def rounding_errors(scene: Scene, column: int, noise: ChannelNoise) -> Iterator[
         yield scene.analysed((rounded_steps(advance, sigma, rng) - advance) / per_step, column)
 
 
-def largest_line(scene: Scene, column: int, noise: ChannelNoise) -> float:
-    """Return the largest amplitude [y] of a line that rounding errors of the motion show, above what noise covers."""
-    hidden_hz = freely_rounded_hz(noise, scene.interval_s)
-    largest = 0.0
+def largest_lines(scene: Scene, column: int, noise: ChannelNoise) -> tuple[Array, Array]:
+    """Return frequencies [Hz] (m,) and the largest amplitude [y] (m,) of a line of rounding errors near each.
+
+    A motion makes lines at its own frequencies; elsewhere its rounding errors are no more than noise.
+    """
+    hertz, largest = np.zeros(0), np.zeros(0)
     for errors in rounding_errors(scene, column, noise):
-        free = np.fft.rfftfreq(errors.size, scene.interval_s) > hidden_hz
-        largest = max(largest, 2.0 / errors.size * float(np.max(np.abs(np.fft.rfft(errors))[free], initial=0.0)))
-    return largest
+        hertz = np.fft.rfftfreq(errors.size, scene.interval_s)
+        lines = 2.0 / errors.size * np.abs(np.fft.rfft(errors))
+        largest = np.maximum(largest, lines) if largest.size else lines
+    near = 2 * round(_NEAR_HZ / hertz[1]) + 1
+    return hertz, np.asarray(maximum_filter1d(largest, near, mode="nearest"))

@@ -176,3 +176,23 @@ def test_a_turn_that_begins_in_the_sample_before_the_stated_one_is_no_step(monke
     meta["motion"][1] |= {"start_s": stated_s, "rate_dps": angle_deg / (end_s - stated_s)}
     report = discrepancy([replace(case, meta=RecordingMeta.model_validate(meta))], closed_form.model())
     assert (report.verdict, report.findings) == ("none", []), report.document["text"]
+
+
+@pytest.mark.parametrize("sigmas", [5.0, 12.0])
+def test_a_shift_at_rest_that_the_stated_level_cannot_be_off_by_is_not_laid_to_the_level(sigmas: float) -> None:
+    """At rest a tilt looks the same: no held-out block prefers the shift, but what is known of the tilt does."""
+    level_sigma_deg = 0.02
+    shift = sigmas * np.radians(level_sigma_deg) * closed_form.GRAVITY_MPS2
+
+    def shifted(_: closed_form.Truth, readings: np.ndarray) -> None:
+        readings[:, 1] += shift
+
+    case = closed_form.recording(shifted, 5, moving=False)
+    meta = case.meta.model_dump(exclude_none=True)
+    meta["reference"]["level_sigma_deg"] = level_sigma_deg
+    shown = Recording(case.samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+    report = discrepancy([shown], closed_form.model())
+    (finding,) = report.findings
+    names = {finding["effect"], *(one["effect"] for one in finding["alternatives"])}
+    assert {"bias_shift", "level_error"} <= names
+    assert report.document["rejected"] == []

@@ -155,6 +155,26 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
 
 
+@pytest.mark.parametrize("noise_in_steps", [0.1, 0.2])
+def test_a_line_where_the_motion_makes_none_is_named_though_smaller_than_rounding_makes_elsewhere(
+    noise_in_steps: float,
+) -> None:
+    """Earth's rate is not whole steps a sample: its rounding errors are lines, but not at every frequency."""
+    step, hertz = WHITE["gyro"] / np.sqrt(RATE_HZ) / noise_in_steps, 1.31
+
+    def hum(true: dict[str, np.ndarray], readings: np.ndarray) -> None:
+        readings[:, 4] += 4e-6 * np.cos(2.0 * np.pi * hertz * true["t"])
+
+    case = recording(hum, 43, moving=False)
+    samples = case.samples.copy()
+    samples["dtheta"] = in_steps(samples["dtheta"], step)
+    believed = model_in_steps(step, free=True)
+    report = discrepancy([replace(case, samples=samples)], believed)
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("sinusoid", "gyro_y")]
+    found = report.findings[0]["parameters"]["frequency"]
+    assert abs(found["value"] - hertz) < 4.5 * found["sigma"]
+
+
 def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -> None:
     """What shakes the other sensor has no mean of nought over two seconds: the blocks without it tell."""
     case = recording(None, 37)
