@@ -38,9 +38,9 @@ def largest_lines(scene: Scene, column: int, noise: ChannelNoise) -> tuple[Array
 
     A motion makes lines at its own frequencies; elsewhere its rounding errors are no more than noise.
     """
-    hertz, largest = np.zeros(0), np.zeros(0)
+    hertz = largest = np.zeros(0)
     for errors in rounding_errors(scene, column, noise):
-        hertz = np.fft.rfftfreq(errors.size, scene.interval_s)
+        hertz = np.asarray(np.fft.rfftfreq(errors.size, scene.interval_s))
         lines = 2.0 / errors.size * np.abs(np.fft.rfft(errors))
         largest = np.maximum(largest, lines) if largest.size else lines
     near = 2 * round(_NEAR_HZ / hertz[1]) + 1
