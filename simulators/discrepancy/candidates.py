@@ -21,21 +21,20 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene, mean_changed, parameter_change
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
+from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, turn_errors
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.wiring import Mistake, mend
 from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Occasion, SampleEffect, Stage
 from simulators.effects.size_effect import SizeEffect
 from simulators.effects.thermal_lag import ThermalLag
-from simulators.motion import Setup, Turn
+from simulators.motion import Turn
 
 Array = NDArray[np.float64]
 Slot = tuple[int, int]
 """A scene and a channel, both counted from 0."""
 
 STEP_TRIALS = 12
-MOST_TURNS = 16
-"""Turns whose own errors are looked for; those of later ones are left to the named effects."""
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
 DELAY_SAMPLES = (0.03, 0.5, 2.0, 6.0, 20.0)
@@ -56,10 +55,6 @@ REWIRED = frozenset({"sign_flip", "axis_swap"})
 """Mistakes of wiring that have no size."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
 TILT_RAD = 1e-4
-TIME_S = 1e-4
-ANGLE = 1e-5
-ACROSS_S = 5e-3
-"""How near a turn's start or end is to a sample's edge that it may lie beyond it."""
 TIMING_SIGMA_S = 1e-3
 """How well a schedule is kept where nothing is said of it: as a whole, and each start and end of a turn."""
 
@@ -81,12 +76,21 @@ class Column:
 
 @dataclass(frozen=True)
 class _TurnColumns:
-    """What errors of one turn, ``place`` among the motions, would add: start and end late [per s], angle [per rad]."""
+    """What errors of one turn would add: start late, end late [per s], each once more beyond a sample's edge, angle."""
 
-    place: int
-    turn: Turn
-    timing: list[Column]
+    error: TurnErrors
+    starts: list[Column]
+    ends: list[Column]
     angle: Column | None
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Columns (ids) of how late all turns of a recording were, and each start and end."""
+
+    offset: int | None
+    starts: tuple[tuple[int, ...], ...]
+    ends: tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,8 @@ class Library:
         """Those of :meth:`correct`."""
         self.nuisance: list[tuple[int, float]] = []
         """Columns that are always in the fit, with their prior σ."""
+        self.schedules: dict[int, Schedule] = {}
+        """Those of them that say how late turns were, by recording."""
         for effect in effects().values():
             self._add_effect(effect)
         self._add_model()
@@ -310,12 +316,10 @@ class Library:
         elif effect.name in SMALL:
             self.setup_trial(effect.name, "all", (SMALL[effect.name],))
         elif effect.name in ("latency", "clock_scale"):
-            unit = self.scenes[0].seen.interval_s
-            if effect.name == "clock_scale":
-                unit /= float(self.scenes[0].data.edges_s[-1] - self.scenes[0].data.edges_s[0])
+            sizes = _delays(self.scenes[0], effect.name)
             for channel in self._wanted(effect):
-                for factor in DELAY_SAMPLES:
-                    self.setup_trial(effect.name, channel, (factor * unit,))
+                for size in sizes:
+                    self.setup_trial(effect.name, channel, (size,))
         elif effect.name == "level_error":
             for rides in (0.0, 1.0):
                 self.setup_trial("level_error", "all", (TILT_RAD, TILT_RAD), {"rides": rides})
@@ -417,15 +421,13 @@ class Library:
 
     def _turn_columns(self, index: int) -> list[_TurnColumns]:
         """Return what errors of the first turns would add."""
-        scene = self.scenes[index]
         found = []
-        for place, turn in scene.turns()[:MOST_TURNS]:
-            sooner, later = (_parts(index, scene, _with(scene.setup, place, m), TIME_S) for m in _shifted(turn))
-            radians = ANGLE * abs(turn.rate_radps * (turn.end_s - turn.start_s))
-            larger = _parts(index, scene, _with(scene.setup, place, _faster(turn)), radians)
-            shifts = [sooner, later, *_across(scene, sooner, turn.start_s), *_across(scene, later, turn.end_s)]
-            timing = [column for raw in shifts if (column := self._column(raw)) is not None]
-            found.append(_TurnColumns(place, turn, timing, self._column(larger)))
+        for error in turn_errors(self.scenes[index]):
+            starts, ends = (
+                [column for change in late if (column := self._column(_of(index, change))) is not None]
+                for late in (error.starts, error.ends)
+            )
+            found.append(_TurnColumns(error, starts, ends, self._column(_of(index, error.angle))))
         return found
 
     def _add_reference(self, index: int, turns: Sequence[_TurnColumns]) -> None:
@@ -435,20 +437,20 @@ class Library:
         scene = self.scenes[index]
         axis: list[list[tuple[Slot, Array]]] = []
         for one in turns:
-            unit = np.asarray(one.turn.axis) / np.linalg.norm(one.turn.axis)
+            unit = np.asarray(one.error.turn.axis) / np.linalg.norm(one.error.turn.axis)
             across = np.cross(unit, np.eye(3)[int(np.argmin(np.abs(unit)))])
             across /= np.linalg.norm(across)
             for side in (across, np.cross(unit, across)):
                 x, y, z = (float(v) for v in unit + ANGLE * side)
-                tipped = replace(one.turn, axis=(x, y, z))
-                axis.append(_parts(index, scene, _with(scene.setup, one.place, tipped), ANGLE))
+                tipped = replace(one.error.turn, axis=(x, y, z))
+                axis.append(_of(index, changed_by(scene, one.error.place, tipped) / ANGLE))
         lever = [
             [((index, c), SizeEffect().regressors(scene.seen, CHANNELS[c], {})[:, k]) for c in range(3)]
             for k in range(3)
         ]
         where = f"recording {index + 1}" if len(self.scenes) > 1 else "all"
         groups: dict[str, list[int | None]] = {
-            "timing": [self._keep(column) for one in turns for column in one.timing],
+            "timing": [self._keep(column) for one in turns for column in (*one.starts, *one.ends)],
             "angle": [self._keep(one.angle) for one in turns if one.angle is not None],
             "axis": [self.add_column(raw) for raw in axis],
             "lever": [self.add_column(raw) for raw in lever],
@@ -481,20 +483,26 @@ class Library:
                 tilt = tuple(TILT_RAD * (k == axis) for k in range(2))
                 self._always(index, _tilted(scene, tilt, rides) / TILT_RAD, level * degree)
         if turns:
-            self._always(index, setup_difference(scene, "latency", "all", TIME_S) / TIME_S, TIMING_SIGMA_S)
+            offset = self._always(index, all_late(scene, [one.error for one in turns]), TIMING_SIGMA_S)
+            starts, ends = (
+                tuple(tuple(self._keep(column) for column in late) for late in lates)
+                for lates in ([one.starts for one in turns], [one.ends for one in turns])
+            )
+            self.nuisance += [(i, TIMING_SIGMA_S) for late in (*starts, *ends) for i in late]
+            self.schedules[index] = Schedule(offset, starts, ends)
         for one in turns:
-            self.nuisance += [(self._keep(column), TIMING_SIGMA_S) for column in one.timing]
-            motion = scene.recording.meta.motion[_place_in_meta(scene, one.turn)]
+            motion = scene.recording.meta.motion[_place_in_meta(scene, one.error.turn)]
             sigma = motion.angle_sigma_deg if isinstance(motion, TurnMeta) else None
             if sigma and one.angle is not None:
                 self.nuisance.append((self._keep(one.angle), sigma * degree))
         for change, spread in lost_vibration(scene):
             self._always(index, change, spread)
 
-    def _always(self, index: int, change: Array, sigma: float) -> None:
-        column = self.add_column([((index, c), change[:, c]) for c in range(6)])
+    def _always(self, index: int, change: Array, sigma: float) -> int | None:
+        column = self.add_column(_of(index, change))
         if column is not None:
             self.nuisance.append((column, sigma))
+        return column
 
     def _add_generic(self, channel: int) -> None:
         by_name: dict[str, list[list[tuple[Slot, Array]]]] = {}
@@ -536,62 +544,23 @@ def _thinned(inputs: Array) -> tuple[Array, Array]:
     return np.concatenate([low, kept, high]), weight
 
 
-def _shifted(turn: Turn) -> tuple[Turn, Turn]:
-    """Return a turn that starts later, and one that ends later, of the same angle."""
-    sooner = replace(turn, start_s=turn.start_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, TIME_S, 0.0))
-    return sooner, replace(turn, end_s=turn.end_s + TIME_S, rate_radps=turn.rate_radps * _keep(turn, 0.0, TIME_S))
+def _delays(scene: Scene, effect: str) -> list[float]:
+    """Return sizes of a delay or a clock's error to try, that as which turns were found to be late among them."""
+    unit = scene.seen.interval_s
+    if effect == "clock_scale":
+        unit /= float(scene.data.edges_s[-1] - scene.data.edges_s[0])
+    sizes = [factor * unit for factor in DELAY_SAMPLES]
+    if scene.lateness_s:
+        late_s = np.ravel(scene.lateness_s)
+        at_s = np.ravel([(turn.start_s, turn.end_s) for _, turn in scene.turns()[: len(scene.lateness_s)]])
+        basis = np.ones_like(at_s) if effect == "latency" else at_s
+        sizes.append(float(basis @ late_s / (basis @ basis)))
+    return [size for size in sizes if size]
 
 
-def _faster(turn: Turn) -> Turn:
-    return replace(turn, rate_radps=turn.rate_radps * (1.0 + ANGLE))
-
-
-def _keep(turn: Turn, start_s: float, end_s: float) -> float:
-    """Return the factor of rate that keeps a turn's whole angle when its ends shift."""
-    span = turn.end_s - turn.start_s
-    return span / (span - start_s + end_s)
-
-
-def _with(setup: Setup, place: int, turn: Turn) -> Setup:
-    motions = list(setup.motions)
-    motions[place] = turn
-    for other in (place - 1, place + 1):  # neighbours that touch give way
-        if 0 <= other < len(motions) and isinstance(motions[other], Turn):
-            if other < place and motions[other].end_s > turn.start_s:
-                motions[other] = replace(motions[other], end_s=turn.start_s)
-            if other > place and motions[other].start_s < turn.end_s:
-                motions[other] = replace(motions[other], start_s=turn.end_s)
-    return replace(setup, motions=tuple(motions))
-
-
-def _parts(index: int, scene: Scene, setup: Setup, size: float) -> list[tuple[Slot, Array]]:
-    change = (scene.predict(setup) - scene.predicted) / size
+def _of(index: int, change: Array) -> list[tuple[Slot, Array]]:
+    """Return a change of all readings (n, 6) by slot."""
     return [((index, c), change[:, c]) for c in range(6)]
-
-
-def _across(scene: Scene, raw: list[tuple[Slot, Array]], at_s: float) -> list[list[tuple[Slot, Array]]]:
-    """Return what a shift of a turn's start or end adds once it has passed the edge of a sample as analysed near by.
-
-    The rate jumps in the sample before or after then, where ``raw`` (n,), which holds for the smallest shifts, has it
-    in its own. With both, a shift across the edge is described.
-    """
-    group, edges_s = scene.group, scene.data.edges_s[:: scene.group]
-    place = int(np.searchsorted(edges_s, at_s)) - 1
-    if not 1 <= place < len(edges_s) - 3:
-        return []
-    found = []
-    for to, edge_s in ((place - 1, edges_s[place]), (place + 1, edges_s[place + 1])):
-        if abs(at_s - edge_s) < ACROSS_S:
-            here, there, beside = (slice(k * group, (k + 1) * group) for k in (place, to, 2 * place - to))
-            moved = []
-            for slot, values in raw:
-                inside = min(values[there].mean(), values[beside].mean(), key=abs)
-                jump, values = values[here] - inside, values.copy()
-                values[here] -= jump
-                values[there] += jump
-                moved.append((slot, values))
-            found.append(moved)
-    return found
 
 
 def _place_in_meta(scene: Scene, turn: Turn) -> int:

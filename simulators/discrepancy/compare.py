@@ -49,7 +49,8 @@ class Scene:
 
     ``setup`` is what is believed; ``seen`` the circumstances by that belief; ``predicted``, ``measured`` (n, 6) [y];
     ``shaken`` (n, 3) the vibration [m/s²]; ``group`` how many samples are averaged to one before analysis;
-    ``corrected`` (n, 6) [y] what errors of the reference make of the prediction, as far as they have been found.
+    ``corrected`` (n, 6) [y] what errors of the reference make of the prediction, as far as they have been found;
+    ``lateness_s`` by how much each turn's start and end came late, where that is known.
     """
 
     recording: Recording
@@ -62,6 +63,7 @@ class Scene:
     model: BlockModel
     group: int
     corrected: Array | None = None
+    lateness_s: tuple[tuple[float, float], ...] = ()
 
     def acting(self, column: int) -> Array:
         """Return what acts on a channel's readout (n,) [y]: a dead band is met when the table really comes to it."""

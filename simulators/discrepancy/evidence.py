@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS, ChannelNoise
 from inertial.rounding import power_scatter
 from simulators.discrepancy.atoms import Steps
-from simulators.discrepancy.candidates import Library, Slot
+from simulators.discrepancy.candidates import Kind, Library, Slot
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -32,6 +32,7 @@ RIDGE = 1e-14
 _SETTLED = 1e-6  # share of itself by which noise may change from round to round and is found
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
+_KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 
 
@@ -83,6 +84,8 @@ class Evidence:
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
+        self.came: dict[Slot, float] = {}
+        """Share of samples that came. What stands for the others has no noise of its own and is no evidence."""
         self.sways = True
         """Whether the mount may sway: see :meth:`stand`."""
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
@@ -96,6 +99,9 @@ class Evidence:
             self._gather(slot)
         self.prior = {i: sigma for i, sigma in library.nuisance if self._felt(i, sigma)}
         self._always = tuple(self.prior)
+        self._own = [i for s in library.schedules.values() for late in (*s.starts, *s.ends) for i in late]
+        self._own = [i for i in self._own if i in self.prior]
+        self._timed = {i for h in library.hypotheses if h.kind is Kind.REFERENCE for i in h.columns}
         self._stacks: dict[Slot, tuple[tuple[int, ...], Array]] = {}
         self._steps: dict[Slot, Steps] = {}
 
@@ -192,8 +198,8 @@ class Evidence:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
-        came = 1.0 - float(scene.data.missing[:, slot[1]].mean())
-        self.eased[slot] = came * float(np.mean(self.library.spread[slot] ** -2.0))
+        self.came[slot] = 1.0 - float(scene.data.missing[:, slot[1]].mean())
+        self.eased[slot] = self.came[slot] * float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
@@ -233,8 +239,9 @@ class Evidence:
         matrix, right = np.zeros((len(ids), len(ids))), np.zeros(len(ids))
         for slot in self.slots:
             products = self.inner[slot].of(ids)
-            matrix[np.ix_(products.where, products.where)] += np.tensordot(1.0 / power[slot], products.gram, 1)
-            right[products.where] += (1.0 / power[slot]) @ products.with_residual
+            weight = self.came[slot] / power[slot]
+            matrix[np.ix_(products.where, products.where)] += np.tensordot(weight, products.gram, 1)
+            right[products.where] += weight @ products.with_residual
         return matrix, right
 
     def stack(self, slot: Slot) -> tuple[tuple[int, ...], Array]:
@@ -250,7 +257,7 @@ class Evidence:
         whole = np.zeros((self.base, self.base))
         for slot in self.slots:
             ids = np.array(list(self.inner[slot].place), dtype=np.int64)
-            whole[np.ix_(ids, ids)] += self.inner[slot].weighted(1.0 / power[slot])[0]
+            whole[np.ix_(ids, ids)] += self.inner[slot].weighted(self.came[slot] / power[slot])[0]
         always = list(self._always)
         if not always:
             return whole
@@ -339,13 +346,44 @@ class Evidence:
             rss[slot] = self._rss(slot, products[slot], full)
         value = sum(self._value(slot, rss[slot], noise[slot]) for slot in self.slots)
         value -= 0.5 * sum((a / self.prior[i]) ** 2 for i, a in zip(free, amplitude, strict=True) if i in self.prior)
+        value += self._kept_well(free, amplitude, covariance)
         return Fit((*free, *fixed), full, covariance, float(value), noise, rss)
+
+    def kept_better(self, fit: Fit, share: float) -> float:
+        """Return by how much likelier [nats] all is if turns were on time ``share`` times as well as they need be."""
+        return self._likelier(fit.ids, fit.amplitude, fit.covariance, (share,))[0]
+
+    def _kept_well(self, free: tuple[int, ...], amplitude: Array, covariance: Array) -> float:
+        """Return by how much likelier [nats] all is if the schedule was kept as well as it seems to have been.
+
+        Then a delay, or a clock that runs wrong, is not what every turn happened to be late by. None where errors of
+        timing are taken to be of any size.
+        """
+        if not self._own or not self._timed.isdisjoint(free):
+            return 0.0
+        return max(0.0, *self._likelier(free, amplitude, covariance, _KEPT))
+
+    def _likelier(
+        self, free: tuple[int, ...], amplitude: Array, covariance: Array, shares: Sequence[float]
+    ) -> list[float]:
+        """Return ln of the ratios of marginal likelihoods, other priors of all starts and ends to the one that is."""
+        where = [free.index(i) for i in self._own]
+        sigma = np.array([self.prior[i] for i in self._own])
+        spread, axes = np.linalg.eigh(covariance[np.ix_(where, where)] / np.outer(sigma, sigma))
+        known = 1.0 / np.clip(spread, 1e-12, 1.0)  # of each combination, prior and data together
+        along = known * (axes.T @ (amplitude[where] / sigma))
+        found = []
+        for share in shares:
+            now = known - 1.0 + share**-2.0
+            change = along**2 / now - along**2 / known - np.log(now / known)
+            found.append(0.5 * float(np.sum(change)) - len(where) * math.log(share))
+        return found
 
     def _weigh(self, slot: Slot, products: Products, noise: NoiseFit, matrix: Array, right: Array) -> None:
         """Add one slot's products to the normal equations, weighted by its noise."""
         known = self._weighed.get(slot)
         if known is None or known[0].gram is not products.gram or known[1] is not noise:
-            weight = 1.0 / noise.power
+            weight = self.came[slot] / noise.power
             known = products, noise, np.tensordot(weight, products.gram, 1), weight @ products.with_residual
             self._weighed[slot] = known
         matrix[np.ix_(products.where, products.where)] += known[2]
@@ -366,7 +404,8 @@ class Evidence:
 
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
         penalty = noise.penalty
-        return float(-0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)) - penalty
+        value = -0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)
+        return self.came[slot] * float(value) - penalty
 
 
 def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:

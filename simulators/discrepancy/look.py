@@ -36,7 +36,7 @@ class Look:
 
     def __init__(self, evidence: Evidence, current: Fit, noise: Mapping[Slot, NoiseFit]) -> None:
         self.evidence, self.active, self.noise = evidence, list(current.ids), noise
-        self._weight = {slot: 1.0 / noise[slot].power for slot in evidence.slots}
+        self._weight = {slot: evidence.came[slot] / noise[slot].power for slot in evidence.slots}
         k = len(self.active)
         matrix, right = evidence.normal(self.active, {slot: fitted.power for slot, fitted in noise.items()})
         matrix += np.diag([1.0 / evidence.prior[i] ** 2 if i in evidence.prior else 0.0 for i in self.active])

@@ -22,6 +22,7 @@ from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but_one
+from simulators.discrepancy.lateness import as_late
 from simulators.discrepancy.mount_sway import angle_rad
 from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
@@ -104,6 +105,7 @@ def discrepancy(
         read_off += clipped + silenced
         outliers += wild
     tell(0.1, "listing what could explain")
+    scenes = as_late(scenes)
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)

@@ -1,0 +1,45 @@
+"""Samples that did not come are no evidence: what stands for them has no noise of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import closed_form
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from simulators.discrepancy.candidates import Library
+from simulators.discrepancy.compare import compare
+from simulators.discrepancy.evidence import Evidence
+
+SEEDS, HERTZ = 25, np.linspace(1.1, 9.3, 12)
+
+
+def lost(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return which of so many samples are missing: about half of them in a few long gaps, or in short ones."""
+    missing = np.zeros(count, dtype=np.bool_)
+    length, number = {"long": (count // 6, 3), "short": (4, count // 8)}[kind]
+    for place in np.linspace(0.03, 0.8, number):
+        first = int(place * count) + int(rng.integers(0, 3))
+        missing[first : first + length] = True
+    return missing
+
+
+@pytest.mark.parametrize("free", [True, False])
+@pytest.mark.parametrize("kind", ["long", "short"])
+def test_lines_that_are_not_there_gain_no_more_where_half_the_samples_are_missing(kind: str, *, free: bool) -> None:
+    """Twice the gain of two amplitudes is χ² of two, whatever was lost."""
+    total = 0.0
+    for seed in range(SEEDS):
+        whole = compare(closed_form.recording(None, 200 + seed, moving=False), closed_form.model(free=free))
+        missing = whole.data.missing.copy()
+        missing[:, 2] |= lost(kind, len(missing), np.random.default_rng(seed))
+        assert 0.4 < missing[:, 2].mean() < 0.6
+        library = Library([replace(whole, data=replace(whole.data, missing=missing))], only=(), plain=True)
+        lines = [library.trial("sinusoid", "accel_z", {"frequency": float(hertz)}, 1.0) for hertz in HERTZ]
+        evidence = Evidence(library)
+        bare = evidence.fit([])
+        total += sum(2.0 * (evidence.fit(line.columns, bare).value - bare.value) for line in lines if line)
+    low, high = chi2.ppf([1e-4, 1.0 - 1e-4], 2 * SEEDS * HERTZ.size)
+    assert low < total < high
