@@ -2,7 +2,8 @@
 
 A clipped sample has lost its noise together with its input, so it weighs like none of the others: the limit is read
 off, and the samples are taken out. That the reading stands still shows where the input goes on changing, or, where it
-does not, by the noise that is gone. One that is clipped now and then, by its noise alone, is left to the search.
+does not, by the noise that is gone. One that is clipped now and then, by its noise alone, is left to the search, and
+its samples are taken out when it has been named: their rounding errors would be lines.
 """
 
 from __future__ import annotations
@@ -44,6 +45,13 @@ def find_clipped(scene: Scene) -> tuple[Scene, list[ReadOff]]:
             missing[rows, column] = True
             found.append(ReadOff("saturation", channel, limit, sigma, nats))
     return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
+
+
+def without_limit(scene: Scene, limit: ReadOff) -> Scene:
+    """Return the scene with the samples that a limit, known of otherwise, may have touched marked missing."""
+    column, missing = CHANNELS.index(limit.channel), scene.data.missing.copy()
+    missing[np.abs(scene.predicted[:, column]) > limit.value - _BEYOND * scene.noise_sigma[column], column] = True
+    return replace(scene, data=replace(scene.data, missing=missing))
 
 
 def _clipped(

@@ -27,8 +27,9 @@ _SHARE_SEEN = 0.8  # of a block that must have been measured
 _COEFFICIENTS = 8  # that make up one block's power
 _FEWEST = 4  # blocks of a band
 _FIRST, _HIGHEST_HZ = 32, 5.0
+_FROM = 0.25  # of the frequency from which rounding errors show, from which they come and go
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
-_LEAST = 0.25  # of the noise that is stated, which there is at least
+_LEAST = (0.25, 0.1)  # of the noise that is stated, which there is at least
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
     penalty = math.log(max(len(bands), 1) * len(CHANNELS))
     ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands)
     nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
-    rounded = bands > 2.0 * basis.n * basis.interval_s * rounded_hz
+    rounded = bands > _FROM * 2.0 * basis.n * basis.interval_s * rounded_hz
     if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
         nats[rounded] = _beyond_chance(ratio[rounded], *_by_rounding(evidence, fit, slot, noise, came, bands[rounded]))
     best = int(np.argmax(nats)) if bands.size else 0
@@ -120,13 +121,22 @@ def _least_noise(evidence: Evidence, fit: Fit, slot: Slot) -> ChannelNoise:
     """
     basis, model = evidence.basis[slot], evidence.library.scenes[slot[0]].model
     noise: ChannelNoise = getattr(model.noise, CHANNELS[slot[1]])
-    least = noise.model_copy(update={"white": _LEAST * noise.white})
-    slow = basis.frequency_hz < freely_rounded_hz(least, basis.interval_s)
-    slow[0] = False  # a bias
-    count, power = float(basis.counts[slow].sum()), basis.stated(noise, 0.0)[slow]
     most = FREE_SHARE if model.noise.free else 1.0
-    share = math.sqrt(float(np.sum(fit.rss[slot][slow] / power)) / count) if count and power.all() else most
-    return noise.model_copy(update={"white": min(max(share, _LEAST), most) * noise.white})
+    power = basis.stated(noise, 0.0)
+    found = most
+    for least in _LEAST:
+        slow = basis.frequency_hz < freely_rounded_hz(
+            noise.model_copy(update={"white": least * noise.white}), basis.interval_s
+        )
+        slow[0] = False  # a bias
+        count = float(basis.counts[slow].sum())
+        if not count or not power[slow].all():
+            break
+        share = math.sqrt(float(np.sum(fit.rss[slot][slow] / power[slow])) / count)
+        found = min(max(share, least), most)
+        if share >= least:
+            break
+    return noise.model_copy(update={"white": found * noise.white})
 
 
 def _beyond_chance(ratio: Array, mean: Array, variance: Array) -> Array:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
-from simulators.discrepancy.clipping import find_clipped
+from simulators.discrepancy.clipping import find_clipped, without_limit
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
@@ -44,6 +45,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 SCHEMA = "inertrim/discrepancy/1"
+_SURE = 25.0  # nats of a limit whose samples are taken out
 OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
 """Effects that happened to a recording and are no property of the block: reported, not added to its model."""
 
@@ -104,20 +106,41 @@ def discrepancy(
         stuck += standing
         read_off += clipped + silenced
         outliers += wild
-    tell(0.1, "listing what could explain")
     scenes = as_late(scenes)
-    library = Library(scenes)
-    tell(0.25, "gathering")
-    evidence = Evidence(library)
-    searcher = Searcher(evidence, tell)
-    adopted, fit, bare = searcher.run()
-    search = Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
+    search = _searched(scenes, tell)
+    limits = _limits(search)
+    if limits:
+        scenes = [reduce(without_limit, limits, scene) for scene in scenes]
+        read_off += limits
+        search = _searched(scenes, tell)
     tell(0.95, "writing down")
     report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
     return report
+
+
+def _searched(scenes: list[Scene], tell: Progress) -> Search:
+    tell(0.1, "listing what could explain")
+    library = Library(scenes)
+    tell(0.25, "gathering")
+    evidence = Evidence(library)
+    searcher = Searcher(evidence, tell)
+    adopted, fit, bare = searcher.run()
+    return Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
+
+
+def _limits(search: Search) -> list[ReadOff]:
+    """Return limits that were named and have no rival, met by the noise: what it leaves beyond them is no noise."""
+    found = []
+    for one in search.of_kind(Kind.NAMED):
+        h = one.hypothesis
+        if h.effect == "saturation" and one.score > _SURE and not one.ties and not one.pairs:
+            everything = [a.hypothesis for a in search.adopted]
+            limit = parameters_of(search.evidence, h, everything, search.fit)["limit"]
+            found.append(ReadOff("saturation", h.channel, limit.value, limit.sigma or 0.0, one.score))
+    return found
 
 
 def _rewired(scene: Scene, mistakes: list[Mistake]) -> Scene:

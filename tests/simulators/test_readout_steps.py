@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import closed_form
 import numpy as np
@@ -10,8 +12,8 @@ import pytest
 from closed_form import RATE_HZ, WHITE, model, recording
 from scipy.fft import dct
 
-from drivers.recording import Recording, RecordingMeta
-from inertial.documents import BlockModel, ChannelNoise, Noise
+from drivers.recording import Recording, RecordingMeta, read_recording
+from inertial.documents import BlockModel, ChannelNoise, Noise, parse_document
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
@@ -19,6 +21,10 @@ from simulators.discrepancy.nonstationarity import find_unsteady
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.whitening import cosine_basis
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
+from benchmarks._blind.__main__ import write
+from benchmarks._blind.cases import make
 
 STEP_RAD = 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
 RECORDS, COUNT, INTERVAL_S = 24, 16384, 0.01
@@ -153,6 +159,19 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
     report = discrepancy([replace(case, samples=samples)], believed)
     assert (report.verdict, report.findings) == ("unknown", []), report.document["text"]
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
+
+
+def test_a_limit_that_the_input_passes_by_one_sigma_leaves_no_lines(tmp_path: Path) -> None:
+    """The noise above the limit is gone, most of it, and what is left is rounded to lines where there were none."""
+    case = make(90611, 477)
+    write(case, tmp_path)
+    believed = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
+    report = discrepancy([read_recording(tmp_path / "recording")], believed)
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("saturation", "accel_x")]
+    assert report.document["remaining"]["empirical"] == []
+    found = report.findings[0]["parameters"]["limit"]
+    (true,) = case.truth["effects"]
+    assert abs(found["value"] - true["parameters"]["limit"]) < 3.3 * found["sigma"]
 
 
 @pytest.mark.parametrize("noise_in_steps", [0.1, 0.2])
