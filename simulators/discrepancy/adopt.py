@@ -21,6 +21,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS
 from simulators.discrepancy.atoms import best_line, score_of
 from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
+from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.rounding_errors import largest_lines
@@ -443,7 +444,30 @@ class Searcher:
         names = [name for name in hypothesis.shape if name in _ZOOMS]
         if len(names) != 1 or len(hypothesis.shape) != 1:
             return hypothesis
-        name = names[0]
+        if hypothesis.effect == "dead_band":
+            return self._as_samples_say(self._zoomed(hypothesis, look), look)
+        return self._zoomed(hypothesis, look)
+
+    def _as_samples_say(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
+        """Return a dead band in the noise that its own samples show, where that explains more of the means."""
+        gain = self._gain(hypothesis, look)
+        if gain < MARGIN or hypothesis.channel in self.library.met:
+            return hypothesis
+        read = half_width(self.library.scenes, hypothesis.channel, hypothesis.shape["half_width"])
+        if read is None:
+            return hypothesis
+        self.library.met[hypothesis.channel] = read.noise
+        shape = {"half_width": read.value}
+        trial = self.library.trial(hypothesis.effect, hypothesis.channel, shape, hypothesis.places)
+        finer = None if trial is None else self._zoomed(trial, look)
+        if finer is not None and self._gain(finer, look) > gain:
+            return finer
+        del self.library.met[hypothesis.channel]
+        return hypothesis
+
+    def _zoomed(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
+        """Return the hypothesis at the best value nearby of the one number that its shape has."""
+        (name,) = hypothesis.shape
         middle = hypothesis.shape[name]
         relative = name in ("time_constant", "half_width", "limit")
         width = self._width(name)

@@ -18,7 +18,7 @@ from scipy.fft import dct
 
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene, mean_changed, parameter_change
+from simulators.discrepancy.compare import SampleNoise, Scene, mean_changed, parameter_change
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, turn_errors
@@ -161,6 +161,8 @@ class Library:
         """Those of :meth:`correct`."""
         self.nuisance: list[tuple[int, float]] = []
         """Columns that are always in the fit, with their prior σ."""
+        self.met: dict[str, SampleNoise] = {}
+        """Noise that readout effects meet, of channels whose single samples have shown it."""
         self.schedules: dict[int, Schedule] = {}
         """Those of them that say how late turns were, by recording."""
         for effect in effects().values():
@@ -412,7 +414,7 @@ class Library:
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in range(count)]
         for s, scene in enumerate(self.scenes):
             if isinstance(effect, SampleEffect):
-                columns = mean_changed(scene, effect, channel, shape)[:, None]
+                columns = mean_changed(scene, effect, channel, shape, self.met.get(channel))[:, None]
             elif isinstance(effect, (LinearEffect, SizeEffect, ThermalLag)):
                 columns = effect.regressors(scene.seen, channel, shape)
             for k in range(count):

@@ -350,7 +350,26 @@ RANDOM = frozenset({"quantisation", "lost_samples", "stuck_samples"})
 """Effects of readout and frame that are no prediction but noise or loss."""
 
 
-def mean_changed(scene: Scene, effect: SampleEffect, channel: str, values: Mapping[str, float]) -> Array:
-    """Return what an effect of readout makes of a channel's readings in the mean over their noise, less them (n,)."""
+@dataclass(frozen=True)
+class SampleNoise:
+    """Normal noise of a single sample, 1σ [y], a ``share`` of samples ``times`` as noisy."""
+
+    sigma: float
+    share: float = 0.0
+    times: float = 1.0
+
+
+def mean_changed(
+    scene: Scene, effect: SampleEffect, channel: str, values: Mapping[str, float], noise: SampleNoise | None = None
+) -> Array:
+    """Return what an effect of readout makes of a channel's readings in the mean over their noise, less them (n,).
+
+    The noise is as known from the whole recording unless another is given.
+    """
     column = CHANNELS.index(channel)
-    return effect.mean_change(scene.acting(column), scene.noise_sigma[column], values)
+    noise = noise or SampleNoise(float(scene.noise_sigma[column]))
+    change = effect.mean_change(scene.acting(column), noise.sigma, values)
+    if noise.share:
+        tails = effect.mean_change(scene.acting(column), noise.times * noise.sigma, values)
+        change = change + noise.share * (tails - change)
+    return change

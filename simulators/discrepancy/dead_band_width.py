@@ -9,13 +9,14 @@ rounding that follows; of these, noise and width are found together. Rounding an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import SampleNoise, Scene
 from simulators.normal import density
 
 Array = NDArray[np.float64]
@@ -31,8 +32,17 @@ _SURE = 12.0  # nats below the best beyond which nothing counts
 _FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
 
 
-def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[float, float] | None:
-    """Return a dead band's half-width and its 1σ [y], by the likelihood of every sample near it.
+@dataclass(frozen=True)
+class HalfWidth:
+    """A dead band's half-width ± ``sigma`` and the noise that it meets, with tails [y]."""
+
+    value: float
+    sigma: float
+    noise: SampleNoise
+
+
+def half_width(scenes: Sequence[Scene], channel: str, about: float) -> HalfWidth | None:
+    """Return a dead band's half-width and the noise, by the likelihood of every sample near it.
 
     Rounding of an integral to steps reads an input of u steps as one of the two whole numbers beside it, the nearer
     the likelier; the fraction at which a sample begins is taken to be any.
@@ -45,7 +55,7 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[flo
 
     Returns
     -------
-    The mean over the likelihood and its rms about it; none where hardly a sample is silent.
+    The mean over the likelihood and its rms about it, the likeliest noise; none where hardly a sample is silent.
     """
     column = CHANNELS.index(channel)
     sigma = max(float(scene.noise_sigma[column]) for scene in scenes)
@@ -60,11 +70,13 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> tuple[flo
         value = np.array([[_by_tails(inputs, readings, counts, step, n, w) for w in widths] for n in noises])
         weight, likely = np.exp(value - value.max()), value > value.max() - _SURE
         finest = widths
+        likeliest, _, tails = np.unravel_index(int(np.argmax(value)), value.shape)
+        noise = SampleNoise(float(noises[likeliest]), _TAILS[int(tails)], _TAIL)
         noises, widths = (_closer(tried, likely.any(axis=(2, k))) for tried, k in ((noises, 1), (widths, 0)))
     share = weight.sum(axis=(0, 2)) / weight.sum()
     mean = float(share @ finest)
     spread = float(np.sqrt(share @ (finest - mean) ** 2 + (finest[1] - finest[0]) ** 2 / 12.0))
-    return mean, spread
+    return HalfWidth(mean, spread, noise)
 
 
 def _closer(tried: Array, likely: NDArray[np.bool_]) -> Array:

@@ -81,7 +81,7 @@ def _by_samples(
     """Return a dead band's half-width as its samples say, where they say it."""
     ((name, mean),) = values.items()
     read = half_width(evidence.library.scenes, hypothesis.channel, mean.value)
-    return values if read is None else {name: mean.model_copy(update={"value": read[0], "sigma": read[1]})}
+    return values if read is None else {name: mean.model_copy(update={"value": read.value, "sigma": read.sigma})}
 
 
 def _by_likelihood(

@@ -42,8 +42,8 @@ def find_silenced(scene: Scene) -> tuple[Scene, list[ReadOff]]:
         about = _about(scene, column, silent, came, noise)
         read = None if about is None else half_width([scene], channel, about[0])
         if about is not None and read is not None:
-            missing[came & (np.abs(scene.predicted[:, column]) < read[0] + _CLEAR * noise), column] = True
-            found.append(ReadOff("dead_band", channel, *read, about[1]))
+            missing[came & (np.abs(scene.predicted[:, column]) < read.value + _CLEAR * noise), column] = True
+            found.append(ReadOff("dead_band", channel, read.value, read.sigma, about[1]))
     return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
 
 

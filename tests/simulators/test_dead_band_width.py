@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from closed_form import RATE_HZ, WHITE, model, recording
 from scipy.stats import chi2
 
-from inertial.documents import ChannelNoise, Noise
+from drivers.recording import read_recording
+from inertial.documents import BlockModel, ChannelNoise, Noise, parse_document
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.dead_band_width import half_width
+from simulators.discrepancy.report import discrepancy
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
+from benchmarks._blind.__main__ import write
+from benchmarks._blind.cases import make
 
 SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
 RUNS = 12
@@ -52,7 +60,7 @@ def test_the_width_lies_where_its_sigma_says(scene: Scene, width: float, step: f
         one = silenced(scene, seed, width * SIGMA, step * SIGMA, Noise(**channels))
         found = half_width([one], "gyro_z", 1.2 * width * SIGMA)
         assert found is not None
-        off.append((found[0] - width * SIGMA) / found[1])
+        off.append((found.value - width * SIGMA) / found.sigma)
     low, high = chi2.interval(0.999, RUNS)
     assert low / wider**2 < np.sum(np.square(off)) < high, off
 
@@ -69,8 +77,21 @@ def test_heavy_tails_are_no_narrower_noise(scene: Scene, tails: str) -> None:
     one = silenced(scene, 9, 2.0 * SIGMA, 2.0 * SIGMA, scene.model.noise.model_copy(update={"gyro_z": channels}), noise)
     found = half_width([one], "gyro_z", 2.4 * SIGMA)
     assert found is not None
-    assert abs(found[0] / (2.0 * SIGMA) - 1.0) < 0.1
+    assert abs(found.value / (2.0 * SIGMA) - 1.0) < 0.1
 
 
 def test_where_nothing_is_silent_nothing_is_read_off(scene: Scene) -> None:
     assert half_width([silenced(scene, 1, 0.0, 0.0, scene.model.noise)], "gyro_z", SIGMA) is None
+
+
+@pytest.mark.parametrize(("seed", "number"), [(90611, 56), (90609, 370)])
+def test_a_band_of_the_noise_s_own_width_has_no_step_beside_it(seed: int, number: int, tmp_path: Path) -> None:
+    """What it takes away in the mean hangs on the noise, with heavy tails or of another size than all of it shows."""
+    case = make(seed, number)
+    write(case, tmp_path)
+    model = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
+    report = discrepancy([read_recording(tmp_path / "recording")], model)
+    (true,) = case.truth["effects"]
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [("dead_band", true["channel"])]
+    found = report.findings[0]["parameters"]["half_width"]
+    assert abs(found["value"] - true["parameters"]["half_width"]) < 3.3 * found["sigma"]
