@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 SCHEMA = "inertrim/discrepancy/1"
-_SURE = 25.0  # nats of a limit whose samples are taken out
+_SURE = 100.0  # nats of a limit whose samples are taken out
 OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
 """Effects that happened to a recording and are no property of the block: reported, not added to its model."""
 

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 MISFIT_SHARE = 0.05
 """A curve that gains less than this share of a name's evidence on the same sensor is that name's misfit."""
+SILENCED_SHARE = 0.2
+"""Jumps of less than this share of a limit's or a dead band's evidence are of what it does to the noise near its edge."""
 PHANTOM_SHARE = 0.01
 """A name that gains less than this share of another's on the same sensor only mends the other's form."""
 _MANY_LINES = 4
@@ -105,13 +107,22 @@ def judge(
         low, high = noise.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
         terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
-    swallowed = [_swallowed(one) for one in find_sparse(search.evidence, search.fit)]
+    swallowed = [
+        _swallowed(one)
+        for one in find_sparse(search.evidence, search.fit)
+        if CHANNELS[one.slot[1]] not in silenced or one.nats > SILENCED_SHARE * _most(gains, CHANNELS[one.slot[1]])
+    ]
     restless = [one for one in find_unsteady(search.evidence, search.fit) if one.channel not in silenced]
     unsteady = swallowed + [_restless(one) for one in restless]
     for found in unsteady:
         terms.append(found)
         withdrawn += _stood_in(named, gains, str(found["channel"]), float(found["evidence_nats"]))
     return Unexplained(terms, curves, withdrawn, misfits, unsteady)
+
+
+def _most(gains: Mapping[int, Mapping[str, float]], channel: str) -> float:
+    """Return what the name of most evidence on a channel gains there."""
+    return max((one.get(channel, 0.0) for one in gains.values()), default=0.0)
 
 
 def _stood_in(
