@@ -42,6 +42,7 @@ TIE = 3.0
 SAME = 0.1
 """... and within so many are one column to these recordings: what lies between them is rounding."""
 MOST_FINDINGS = 8
+_AT_LAST = 0.8  # share of the margin that a name still has at the end of the search
 _LEADERS = 12
 _REFINED = 12
 _SHARPENED = 3
@@ -143,7 +144,7 @@ class Searcher:
             adopted, current = self.polish(*self._settle(adopted, current, adopted[:known]))
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self.fit_of(adopted)
-        adopted, current = self._settle(adopted, current, adopted)
+        adopted, current = self._settle(adopted, current, adopted, _AT_LAST)
         return adopted, current, bare
 
     def _correct(self, bare: Fit) -> None:
@@ -271,7 +272,7 @@ class Searcher:
                 continue  # no name is like it
             named = [s for s in self.rank(current, adopted) if s.hypothesis.kind is Kind.NAMED]
             named = [s for s in named if one.slot in self.evidence.touched(s.hypothesis.columns)]
-            if named and named[0].score > 0.5 * MARGIN:
+            if named and named[0].score > _AT_LAST * MARGIN:
                 return [*adopted, named[0].hypothesis], named[0].fit
             if len(one.steps) + len(one.lines_hz) > _FEW:
                 continue
@@ -281,7 +282,7 @@ class Searcher:
             fit = self.fit_of([*adopted, *new], current)
             count = sum(h.freedom for h in new)
             places = math.prod(self.places(h) for h in new)
-            if bayes_factor(fit.value - current.value, count, places) > 0.5 * MARGIN:  # or it would not stay
+            if bayes_factor(fit.value - current.value, count, places) > _AT_LAST * MARGIN:  # or it would not stay
                 return [*adopted, *new], fit
         return list(adopted), current
 
@@ -559,14 +560,17 @@ class Searcher:
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 
     def _settle(
-        self, adopted: list[Hypothesis], current: Fit, judged: Sequence[Hypothesis]
+        self, adopted: list[Hypothesis], current: Fit, judged: Sequence[Hypothesis], share: float = 0.5
     ) -> tuple[list[Hypothesis], Fit]:
-        """Drop those of the judged that the others, or a finer fit of noise and shapes, have made needless."""
+        """Drop those of the judged that the others, or a finer fit of noise and shapes, have made needless.
+
+        Such keep less than a ``share`` of the margin that they passed.
+        """
         for h in judged:
             rest = [other for other in adopted if other is not h]
             without = self.fit_of(rest, current)
-            if bayes_factor(current.value - without.value, h.freedom, self.places(h)) < 0.5 * MARGIN:
-                return self._settle(rest, without, [other for other in judged if other is not h])
+            if bayes_factor(current.value - without.value, h.freedom, self.places(h)) < share * MARGIN:
+                return self._settle(rest, without, [other for other in judged if other is not h], share)
         return adopted, current
 
     def polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:

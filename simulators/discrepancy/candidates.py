@@ -21,7 +21,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import SampleNoise, Scene, mean_changed, parameter_change
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
-from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, turn_errors
+from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, is_whole, turn_errors
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.wiring import Mistake, mend
 from simulators.effects import effects, get_effect
@@ -86,11 +86,15 @@ class _TurnColumns:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Columns (ids) of how late all turns of a recording were, and each start and end."""
+    """Columns (ids) of how late all turns of a recording were, and each start and end.
+
+    ``at_s``: when these were to be, if their columns are chords to a known lateness, of all turns that there are.
+    """
 
     offset: int | None
     starts: tuple[tuple[int, ...], ...]
     ends: tuple[tuple[int, ...], ...]
+    at_s: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -165,14 +169,14 @@ class Library:
         """Noise that readout effects meet, of channels whose single samples have shown it."""
         self.schedules: dict[int, Schedule] = {}
         """Those of them that say how late turns were, by recording."""
-        for effect in effects().values():
-            self._add_effect(effect)
-        self._add_model()
         for index in range(len(scenes)):
             turns = self._turn_columns(index)
             self._add_nuisance(index, turns)
             if only is None:
                 self._add_reference(index, turns)
+        for effect in effects().values():
+            self._add_effect(effect)
+        self._add_model()
         if not plain:
             for channel in range(len(CHANNELS)):
                 self._add_generic(channel)
@@ -249,7 +253,20 @@ class Library:
         kept = tuple(i for i in ids if i is not None)
         if not kept or (len(kept) < len(ids) and effect not in _SPARSE):
             return None
-        hypothesis = Hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord)
+        return self._hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord)
+
+    def _hypothesis(
+        self,
+        kind: Kind,
+        effect: str,
+        channel: str,
+        columns: tuple[int, ...],
+        shape: Mapping[str, float] | None = None,
+        places: float = 1.0,
+        unit_amplitude: bool = False,
+        chord: tuple[float, ...] = (),
+    ) -> Hypothesis:
+        hypothesis = Hypothesis(kind, effect, channel, columns, dict(shape or {}), places, unit_amplitude, chord)
         if not self.closed:
             self.hypotheses.append(hypothesis)
         return hypothesis
@@ -291,12 +308,39 @@ class Library:
         self, effect: str, channel: str, sizes: tuple[float, ...], shape: Mapping[str, float] | None = None
     ) -> Hypothesis | None:
         """Add a set-up effect's columns, taken as chords to ``sizes``, so that large errors need no small angles."""
+        places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
+        delayed = self._delayed(effect, channel)
+        if delayed is not None:
+            return self._hypothesis(Kind.NAMED, effect, channel, (self._keep(delayed),), places=float(places))
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in sizes]
         for s, scene in enumerate(self.scenes):
             for column, change in zip(raw, _chords(scene, effect, channel, sizes, shape or {}), strict=True):
                 column += [((s, c), change[:, c]) for c in range(6)]
-        places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
         return self.add(Kind.NAMED, effect, channel, raw, shape, float(places), chord=sizes)
+
+    def _delayed(self, effect: str, channel: str) -> Column | None:
+        """Return what a delay or a clock's error adds where turns' lateness is known, to each start and end its own.
+
+        So that with what each is late by besides it adds up to what both do. None for others, or where it is not
+        known. A clock that runs fast takes a sample's interval for longer, and a force over it for less; a turn of the
+        same angle that lasts longer is slower by itself.
+        """
+        if effect not in ("latency", "clock_scale") or not all(s in self.schedules for s in range(len(self.scenes))):
+            return None
+        if not all(schedule.at_s for schedule in self.schedules.values()):
+            return None
+        touched = [c for c, name in enumerate(CHANNELS) if channel == "all" or name.startswith(channel)]
+        parts: dict[Slot, Array] = {}
+        for index, schedule in self.schedules.items():
+            if effect == "clock_scale":
+                force = self._column(_of(index, -self.scenes[index].predicted)[:3])
+                parts |= {slot: part for slot, part in (force.parts if force else {}).items() if slot[1] in touched}
+            for ids, at_s in zip((*schedule.starts, *schedule.ends), schedule.at_s, strict=True):
+                late = self.columns[ids[0]].parts if ids else {}
+                for slot, part in late.items():
+                    if slot[1] in touched:
+                        parts[slot] = parts.get(slot, 0.0) + part * (at_s if effect == "clock_scale" else 1.0)
+        return Column(parts) if parts else None
 
     def _wanted(self, effect: Effect) -> list[str]:
         names = effect.channel_names()
@@ -318,9 +362,9 @@ class Library:
         elif effect.name in SMALL:
             self.setup_trial(effect.name, "all", (SMALL[effect.name],))
         elif effect.name in ("latency", "clock_scale"):
-            sizes = _delays(self.scenes[0], effect.name)
             for channel in self._wanted(effect):
-                for size in sizes:
+                known = self._delayed(effect.name, channel) is not None
+                for size in _delays(self.scenes[0], effect.name)[: 1 if known else None]:
                     self.setup_trial(effect.name, channel, (size,))
         elif effect.name == "level_error":
             for rides in (0.0, 1.0):
@@ -491,7 +535,9 @@ class Library:
                 for lates in ([one.starts for one in turns], [one.ends for one in turns])
             )
             self.nuisance += [(i, TIMING_SIGMA_S) for late in (*starts, *ends) for i in late]
-            self.schedules[index] = Schedule(offset, starts, ends)
+            at_s = (*(one.error.turn.start_s for one in turns), *(one.error.turn.end_s for one in turns))
+            known = bool(scene.lateness_s) and is_whole(scene, [one.error for one in turns])
+            self.schedules[index] = Schedule(offset, starts, ends, at_s if known else ())
         for one in turns:
             motion = scene.recording.meta.motion[_place_in_meta(scene, one.error.turn)]
             sigma = motion.angle_sigma_deg if isinstance(motion, TurnMeta) else None
@@ -547,17 +593,11 @@ def _thinned(inputs: Array) -> tuple[Array, Array]:
 
 
 def _delays(scene: Scene, effect: str) -> list[float]:
-    """Return sizes of a delay or a clock's error to try, that as which turns were found to be late among them."""
+    """Return sizes of a delay or a clock's error to try."""
     unit = scene.seen.interval_s
     if effect == "clock_scale":
         unit /= float(scene.data.edges_s[-1] - scene.data.edges_s[0])
-    sizes = [factor * unit for factor in DELAY_SAMPLES]
-    if scene.lateness_s:
-        late_s = np.ravel(scene.lateness_s)
-        at_s = np.ravel([(turn.start_s, turn.end_s) for _, turn in scene.turns()[: len(scene.lateness_s)]])
-        basis = np.ones_like(at_s) if effect == "latency" else at_s
-        sizes.append(float(basis @ late_s / (basis @ basis)))
-    return [size for size in sizes if size]
+    return [factor * unit for factor in DELAY_SAMPLES]
 
 
 def _of(index: int, change: Array) -> list[tuple[Slot, Array]]:

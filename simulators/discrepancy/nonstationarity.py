@@ -17,7 +17,7 @@ from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.rounding_errors import rounding_errors
-from simulators.discrepancy.whitening import FREE_SHARE, freely_rounded_hz
+from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, freely_rounded_hz
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ _FEWEST = 4  # blocks of a band
 _FIRST, _HIGHEST_HZ = 32, 5.0
 _FROM = 0.25  # of the frequency from which rounding errors show, from which they come and go
 _CLIP = 3.5  # σ of a sample beyond which it is an outlier, which says nothing of structure
+_PARTS = np.linspace(0.0, 0.98, 15)  # of a block's power that a sway may have
 _LEAST = (0.25, 0.1)  # of the noise that is stated, which there is at least
 
 
@@ -55,7 +56,8 @@ def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
     rounded_hz = freely_rounded_hz(noise, basis.interval_s)
     bands = _bands(basis.n, basis.interval_s)
     penalty = math.log(max(len(bands), 1) * len(CHANNELS))
-    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands)
+    leans = _leans(evidence, fit, slot)
+    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands, leans)
     nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
     rounded = bands > _FROM * 2.0 * basis.n * basis.interval_s * rounded_hz
     if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
@@ -78,10 +80,24 @@ def _white(evidence: Evidence, fit: Fit, slot: Slot, left: Array) -> Array:
     return to_cosine(np.clip(idct(to_cosine(left) * weight, norm="ortho"), -_CLIP, _CLIP))
 
 
-def _by_band(white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _leans(evidence: Evidence, fit: Fit, slot: Slot) -> Array | None:
+    """Return how much of a tilt's power (n,) an accelerometer would feel, where its mount sways; else none.
+
+    A tilt turns gravity away from its direction: of that the axis which points along it feels nothing.
+    """
+    if slot[1] > 2 or fit.noise[slot].level not in (SWAY, WIDE):
+        return None
+    scene = evidence.library.scenes[slot[0]]
+    force = np.stack([scene.analysed(scene.predicted[:, c], c) for c in range(3)])
+    return np.asarray(1.0 - np.square(force[slot[1]]) / np.maximum(np.sum(np.square(force), axis=0), 1e-300))
+
+
+def _by_band(
+    white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64], leans: Array | None = None
+) -> tuple[Array, Array, Array]:
     """Return of each band the likelihood ratio [2 nats] of power that varies from block to block, of how many blocks.
 
-    And where along the record power is most.
+    And where along the record power is most. As great a part of it as may be varies with ``leans`` (n,), as sway does.
     """
     ratio, freedom, places = (np.zeros(len(bands)) for _ in range(3))
     for band, highest in enumerate(bands.tolist()):
@@ -93,10 +109,21 @@ def _by_band(white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64]) ->
         if seen.sum() < _FEWEST:
             continue
         power = power[seen] / max(float(power[seen].mean()), 1e-300)
+        if leans is not None:
+            power = _steadied(power, np.array([part.mean() for part in np.array_split(leans, count)])[seen])
         ratio[band] = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
         freedom[band] = power.size
         places[band] = (int(np.flatnonzero(seen)[int(np.argmax(power))]) + 0.5) / count
     return ratio, freedom, places
+
+
+def _steadied(power: Array, leans: Array) -> Array:
+    """Return the power of blocks (k,) over what it is expected to be if the likeliest part of it is a sway's."""
+    swaying = leans / max(float(leans.mean()), 1e-300)
+    models = [1.0 + part * (swaying - 1.0) for part in _PARTS]
+    model = min(models, key=lambda one: float(np.sum(np.log(one) + power / one)))
+    steady = power / model
+    return np.asarray(steady / float(steady.mean()))
 
 
 def _by_rounding(

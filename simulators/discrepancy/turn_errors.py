@@ -71,11 +71,18 @@ def all_late(scene: Scene, errors: Sequence[TurnErrors]) -> Array:
     Each start and end by the chord that is its own, so that with what each is late by itself it adds up to what the
     whole shift does.
     """
-    if scene.lateness_s and len(errors) == len(scene.turns()) and not _touching([one.turn for one in errors]):
+    if scene.lateness_s and is_whole(scene, errors):
         return np.asarray(sum(one.starts[0] + one.ends[0] for one in errors))
     size = float(np.mean(scene.lateness_s)) if scene.lateness_s else TIME_S
     size = size if abs(size) > TIME_S else TIME_S
     return (scene.predict(scene.setup, scene.data.edges_s - size) - scene.predicted) / size
+
+
+def is_whole(scene: Scene, errors: Sequence[TurnErrors]) -> bool:
+    """Whether the errors are those of all turns, of which none begins as another ends: both would move one instant."""
+    ordered = sorted((one.turn for one in errors), key=lambda turn: turn.start_s)
+    apart = all(two.start_s - one.end_s > ACROSS_S for one, two in itertools.pairwise(ordered))
+    return apart and len(errors) == len(scene.turns())
 
 
 def changed_by(scene: Scene, place: int, turn: Turn) -> Array:
@@ -97,12 +104,6 @@ def _moved(turn: Turn, start_s: float, end_s: float) -> Turn:
     span_s = turn.end_s - turn.start_s
     rate = turn.rate_radps * span_s / (span_s - start_s + end_s)
     return replace(turn, start_s=turn.start_s + start_s, end_s=turn.end_s + end_s, rate_radps=rate)
-
-
-def _touching(turns: Sequence[Turn]) -> bool:
-    """Whether one begins as another ends, so that both move the same instant."""
-    ordered = sorted(turns, key=lambda turn: turn.start_s)
-    return any(two.start_s - one.end_s < ACROSS_S for one, two in itertools.pairwise(ordered))
 
 
 def _across(scene: Scene, change: Array, at_s: float) -> list[Array]:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 MISFIT_SHARE = 0.05
 """A curve that gains less than this share of a name's evidence on the same sensor is that name's misfit."""
 SILENCED_SHARE = 0.2
-"""Jumps of less than this share of a limit's or a dead band's evidence are of what it does to the noise near its edge."""
+"""Jumps of less than this share of a limit's or a dead band's evidence are what it does to the noise near its edge."""
 PHANTOM_SHARE = 0.01
 """A name that gains less than this share of another's on the same sensor only mends the other's form."""
 _MANY_LINES = 4

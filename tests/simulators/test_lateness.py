@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 
 from drivers.recording import read_recording
 from inertial.documents import BlockModel, parse_document
-from simulators.discrepancy.candidates import Library
+from simulators.discrepancy.candidates import Library, setup_difference
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.lateness import as_late
@@ -79,16 +80,34 @@ def test_chords_add_up_to_what_the_late_turns_do(late: Scene) -> None:
     assert np.max(np.abs(straight - true)[:, :3]) > 0.02 * np.max(np.abs(true[:, :3]))
 
 
+@pytest.mark.parametrize(("effect", "size"), [("latency", 1e-4), ("clock_scale", 1e-6)])
+def test_small_delays_and_clock_errors_by_turns_are_what_prediction_says(late: Scene, effect: str, size: float) -> None:
+    """To the hundredth by which a shift of 0.1 ms is more than in proportion."""
+    hardly = replace(late, lateness_s=((1e-4, 1e-4),) * 11)
+    library = Library([hardly], only={(effect, "all")}, plain=True)
+    (by_turns,) = (h for h in library.hypotheses if h.effect == effect)
+    change = setup_difference(late, effect, "all", size) / size
+    for (_, channel), part in library.columns[by_turns.columns[0]].parts.items():
+        true = dct(late.analysed(change[:, channel], channel) / library.spread[0, channel], norm="ortho")
+        assert np.max(np.abs(part - true)) < 0.01 * np.max(np.abs(true))
+
+
 def test_a_schedule_kept_late_is_no_delay_of_the_block(tmp_path: Path) -> None:
     report = report_of(SEED, 442, tmp_path)
     assert "latency" not in {one["effect"] for one in report.findings}
 
 
-@pytest.mark.parametrize("number", [121, 241])
-def test_a_wrong_clock_is_named_though_every_turn_might_have_been_late_by_as_much(number: int, tmp_path: Path) -> None:
-    """By 3 to 4 ms at the end, where 1 ms is allowed: but each in proportion to its time, to a twentieth of that."""
-    case = make(90610, number)
-    report = report_of(90610, number, tmp_path)
+@pytest.mark.parametrize(("seed", "number"), [(90610, 121), (90610, 241), (90612, 107)])
+def test_a_wrong_clock_is_named_though_every_turn_might_have_been_late_by_as_much(
+    seed: int, number: int, tmp_path: Path
+) -> None:
+    """By 3 to 4 ms at the end, where 1 ms is allowed: but each in proportion to its time, to a twentieth of that.
+
+    In the last case turns are late as well, by a millisecond, and the mount sways, which accelerometers feel in some
+    attitudes only.
+    """
+    case = make(seed, number)
+    report = report_of(seed, number, tmp_path)
     (finding,) = report.findings
     assert finding["effect"] == "clock_scale"
     (true,) = case.truth["effects"]
