@@ -1,12 +1,12 @@
 """How late each turn of a schedule began and ended, found before all else where it is much.
 
-By the reference's own errors alone, each within its σ, in a library without names: what a named effect does besides
-does not begin and end with the turns.
+By the reference's own errors alone, each within its σ, before any name: what a named effect does besides does not begin
+and end with the turns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,30 +17,38 @@ from simulators.discrepancy.evidence import Evidence, Fit
 
 _MUCH_S = 1e-3  # below which a shift adds what it adds in proportion
 _MOST_S = 8e-3
-_ROUNDS = 2  # of shifts as found by chords to shifts as found
+Lateness = tuple[tuple[float, float], ...]
 
 
-def as_late(scenes: Sequence[Scene]) -> list[Scene]:
-    """Return the scenes with how late each turn's start and end were, where some were late by much."""
+def as_late(scenes: Sequence[Scene], evidence: Evidence) -> list[Scene]:
+    """Return the scenes with how late each turn's start and end were, where some were late by much.
+
+    Once as ``evidence`` of the scenes says, which takes all shifts for small, and once by chords to what it says.
+    """
     scenes = list(scenes)
-    for _ in range(_ROUNDS):
-        library = Library(scenes, only=(), plain=True)
-        if not library.schedules:
-            break
-        evidence = Evidence(library)
-        fit = evidence.fit([])
-        if evidence.restate(fit.rss) | evidence.stand(fit.noise):
-            fit = evidence.fit([])
-        late = {index: _found(schedule, fit) for index, schedule in library.schedules.items()}
-        much = [index for index, shifts in late.items() if np.max(np.abs(shifts)) > _MUCH_S]
-        if not much:
-            break
-        for index in much:
-            scenes[index] = replace(scenes[index], lateness_s=late[index])
+    late = _late(evidence)
+    if late:
+        scenes = _with(scenes, late)
+        scenes = _with(scenes, _late(Evidence(Library(scenes, only=(), plain=True))))
     return scenes
 
 
-def _found(schedule: Schedule, fit: Fit) -> tuple[tuple[float, float], ...]:
+def _late(evidence: Evidence) -> dict[int, Lateness]:
+    """Return the lateness of the recordings in which some is much."""
+    if not evidence.library.schedules:
+        return {}
+    fit = evidence.fit([])
+    if evidence.restate(fit.rss) | evidence.stand(fit.noise):
+        fit = evidence.fit([])
+    late = {index: _found(schedule, fit) for index, schedule in evidence.library.schedules.items()}
+    return {index: shifts for index, shifts in late.items() if np.max(np.abs(shifts)) > _MUCH_S}
+
+
+def _with(scenes: list[Scene], late: Mapping[int, Lateness]) -> list[Scene]:
+    return [replace(one, lateness_s=late[i]) if i in late else one for i, one in enumerate(scenes)]
+
+
+def _found(schedule: Schedule, fit: Fit) -> Lateness:
     amplitude = dict(zip(fit.ids, fit.amplitude.tolist(), strict=True))
     whole = amplitude.get(schedule.offset, 0.0) if schedule.offset is not None else 0.0
     return tuple(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
-from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
+from simulators.discrepancy.candidates import REWIRED, Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import find_clipped, without_limit
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
@@ -101,17 +101,19 @@ def discrepancy(
         within, clipped = find_clipped(scene)
         heard, silenced = find_silenced(within)
         free, standing = find_stuck(heard)
+        free = following_vibrations(free) if standing else free  # what a register held was no vibration
         tame, wild = find_outliers(free)
         scenes.append(tame)
         stuck += standing
         read_off += clipped + silenced
         outliers += wild
-    scenes = as_late(scenes)
     search = _searched(scenes, tell)
-    limits = _limits(search)
-    if limits:
+    limits, wired = _limits(search), _wired(search)
+    if limits or wired:
         scenes = [reduce(without_limit, limits, scene) for scene in scenes]
+        scenes = [_rewired(scene, wired) for scene in scenes] if wired else scenes
         read_off += limits
+        mistakes += wired
         search = _searched(scenes, tell)
     tell(0.95, "writing down")
     report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers)
@@ -126,6 +128,9 @@ def _searched(scenes: list[Scene], tell: Progress) -> Search:
     library = Library(scenes)
     tell(0.25, "gathering")
     evidence = Evidence(library)
+    late = as_late(scenes, evidence)
+    if any(scene.lateness_s for scene in late):
+        evidence = Evidence(Library(late))
     searcher = Searcher(evidence, tell)
     adopted, fit, bare = searcher.run()
     return Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
@@ -143,8 +148,19 @@ def _limits(search: Search) -> list[ReadOff]:
     return found
 
 
+def _wired(search: Search) -> list[Mistake]:
+    """Return mistakes of wiring that were too little to be seen before, but named: each sensor has its own noise."""
+    return [
+        Mistake(one.hypothesis.effect, one.hypothesis.channel, explained=2.0 * one.score)
+        for one in search.of_kind(Kind.NAMED)
+        if one.hypothesis.effect in REWIRED and not one.ties and not one.pairs
+    ]
+
+
 def _rewired(scene: Scene, mistakes: list[Mistake]) -> Scene:
-    data = replace(scene.data, sent=mend(scene.data.sent, mistakes))
+    exchanged = [one for one in mistakes if one.effect == "axis_swap"]
+    missing = mend(scene.data.missing.astype(np.float64), exchanged) > 0.0
+    data = replace(scene.data, sent=mend(scene.data.sent, mistakes), missing=missing)
     return following_vibrations(replace(scene, measured=mend(scene.measured, mistakes), data=data))
 
 

@@ -47,7 +47,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def test_how_late_the_turns_were_is_found(late: Scene) -> None:
     """The mean over 22 starts and ends: that of all, and of the drawn ones, σ 1 ms each."""
-    (scene,) = as_late([late])
+    (scene,) = as_late([late], Evidence(Library([late], only=(), plain=True)))
     found_ms = 1e3 * np.array(scene.lateness_s)
     assert found_ms.shape == (11, 2)
     assert found_ms.mean() == pytest.approx(LATE_MS, abs=3.3 / np.sqrt(22.0))

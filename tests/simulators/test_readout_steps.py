@@ -210,6 +210,16 @@ def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("axis_swap", "accel_x<-accel_y")]
 
 
+def test_gyros_exchanged_that_hardly_feel_it_have_each_their_own_noise_and_steps(tmp_path: Path) -> None:
+    """Only Earth's rate tells, by 13 σ, after all else has been looked at; the steps of the two are not the same."""
+    case = make(90612, 277)
+    write(case, tmp_path)
+    believed = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
+    report = discrepancy([read_recording(tmp_path / "recording")], believed)
+    on_gyros = [(one["effect"], one["channel"]) for one in report.findings if one["channel"].startswith("gyro")]
+    assert on_gyros == [("axis_swap", "gyro_y<-gyro_z")]
+
+
 def test_sensors_exchanged_while_shaken_have_each_their_own_course_and_noise() -> None:
     case = recording(None, 36)
     samples, rng = case.samples.copy(), np.random.default_rng(36)
