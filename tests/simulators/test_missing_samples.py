@@ -53,7 +53,7 @@ def with_lost(seed: int, kind: str, *, free: bool) -> Scene:
 @pytest.mark.parametrize("free", [True, False])
 @pytest.mark.parametrize("kind", ["long", "short", "shaken"])
 def test_lines_that_are_not_there_gain_no_more_where_half_the_noise_is_missing(kind: str, *, free: bool) -> None:
-    """Twice the gain of two amplitudes is χ² of two, whatever was lost, or had its noise put back where only a mean is compared."""
+    """Twice the gain of two amplitudes is χ² of two, whatever was lost, or had its noise put back for a shaking."""
     total = 0.0
     for seed in range(SEEDS):
         scene = shaken(seed, free=free) if kind == "shaken" else with_lost(seed, kind, free=free)
