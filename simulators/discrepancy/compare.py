@@ -122,13 +122,6 @@ class Scene:
                 left[rows] = part - axis[column] ** 2 * (part - part[came[rows]].mean())
         return left
 
-    def shaken_share(self, column: int) -> float:
-        """Return the share of a channel's samples of which only the mean is compared, see :meth:`unshaken`."""
-        if column >= 3:
-            return 0.0
-        came = ~self.data.missing[:, column]
-        return float(sum(axis[column] ** 2 * np.mean(rows & came) for rows, axis in self.vibrations()))
-
     @cached_property
     def _gaps(self) -> tuple[Gaps, ...]:
         return tuple(Gaps.of(missing) for missing in self.data.missing.T)

@@ -199,9 +199,7 @@ class Evidence:
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
         self.came[slot] = 1.0 - float(scene.data.missing[:, slot[1]].mean())
-        noisy = float(np.mean(self.library.spread[slot] ** -2.0))
-        # What is put back where a mean alone is compared has no noise slower than the stretches that it is taken from.
-        self.eased[slot] = (self.came[slot] - scene.shaken_share(slot[1])) * noisy
+        self.eased[slot] = self.came[slot] * float(np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
