@@ -14,7 +14,7 @@ from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence
 
-SEEDS, HERTZ = 25, np.linspace(1.1, 9.3, 12)
+SEEDS, HERTZ = 15, np.linspace(1.1, 9.3, 12)
 
 
 def lost(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:

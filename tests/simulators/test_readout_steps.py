@@ -161,6 +161,7 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
 
 
+@pytest.mark.long
 def test_a_limit_that_the_input_passes_by_one_sigma_leaves_no_lines(tmp_path: Path) -> None:
     """The noise above the limit is gone, most of it, and what is left is rounded to lines where there were none."""
     case = make(90611, 477)
