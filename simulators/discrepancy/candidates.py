@@ -253,20 +253,9 @@ class Library:
         kept = tuple(i for i in ids if i is not None)
         if not kept or (len(kept) < len(ids) and effect not in _SPARSE):
             return None
-        return self._hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord)
+        return self._listed(Hypothesis(kind, effect, channel, kept, dict(shape or {}), places, unit_amplitude, chord))
 
-    def _hypothesis(
-        self,
-        kind: Kind,
-        effect: str,
-        channel: str,
-        columns: tuple[int, ...],
-        shape: Mapping[str, float] | None = None,
-        places: float = 1.0,
-        unit_amplitude: bool = False,
-        chord: tuple[float, ...] = (),
-    ) -> Hypothesis:
-        hypothesis = Hypothesis(kind, effect, channel, columns, dict(shape or {}), places, unit_amplitude, chord)
+    def _listed(self, hypothesis: Hypothesis) -> Hypothesis:
         if not self.closed:
             self.hypotheses.append(hypothesis)
         return hypothesis
@@ -311,7 +300,7 @@ class Library:
         places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
         delayed = self._delayed(effect, channel)
         if delayed is not None:
-            return self._hypothesis(Kind.NAMED, effect, channel, (self._keep(delayed),), places=float(places))
+            return self._listed(Hypothesis(Kind.NAMED, effect, channel, (self._keep(delayed),), places=float(places)))
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in sizes]
         for s, scene in enumerate(self.scenes):
             for column, change in zip(raw, _chords(scene, effect, channel, sizes, shape or {}), strict=True):
@@ -325,7 +314,7 @@ class Library:
         known. A clock that runs fast takes a sample's interval for longer, and a force over it for less; a turn of the
         same angle that lasts longer is slower by itself.
         """
-        if effect not in ("latency", "clock_scale") or not all(s in self.schedules for s in range(len(self.scenes))):
+        if effect not in ("latency", "clock_scale") or len(self.schedules) < len(self.scenes):
             return None
         if not all(schedule.at_s for schedule in self.schedules.values()):
             return None

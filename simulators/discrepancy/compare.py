@@ -43,6 +43,10 @@ _STRETCHES = 128  # over which the difference to the prediction is taken to be c
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
 
 
+Lateness = tuple[tuple[float, float], ...]
+"""By how much [s] the start and the end of each turn came late."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """One recording as it is compared: n samples, six channels.
@@ -50,7 +54,7 @@ class Scene:
     ``setup`` is what is believed; ``seen`` the circumstances by that belief; ``predicted``, ``measured`` (n, 6) [y];
     ``shaken`` (n, 3) the vibration [m/s²]; ``group`` how many samples are averaged to one before analysis;
     ``corrected`` (n, 6) [y] what errors of the reference make of the prediction, as far as they have been found;
-    ``lateness_s`` by how much each turn's start and end came late, where that is known.
+    ``lateness_s`` of its turns, where that is known.
     """
 
     recording: Recording
@@ -63,7 +67,7 @@ class Scene:
     model: BlockModel
     group: int
     corrected: Array | None = None
-    lateness_s: tuple[tuple[float, float], ...] = ()
+    lateness_s: Lateness = ()
 
     def acting(self, column: int) -> Array:
         """Return what acts on a channel's readout (n,) [y]: a dead band is met when the table really comes to it."""

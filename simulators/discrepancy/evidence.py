@@ -349,10 +349,6 @@ class Evidence:
         value += self._kept_well(free, amplitude, covariance)
         return Fit((*free, *fixed), full, covariance, float(value), noise, rss)
 
-    def kept_better(self, fit: Fit, share: float) -> float:
-        """Return by how much likelier [nats] all is if turns were on time ``share`` times as well as they need be."""
-        return self._likelier(fit.ids, fit.amplitude, fit.covariance, (share,))[0]
-
     def _kept_well(self, free: tuple[int, ...], amplitude: Array, covariance: Array) -> float:
         """Return by how much likelier [nats] all is if the schedule was kept as well as it seems to have been.
 
@@ -361,12 +357,16 @@ class Evidence:
         """
         if not self._own or not self._timed.isdisjoint(free):
             return 0.0
-        return max(0.0, *self._likelier(free, amplitude, covariance, _KEPT))
+        return max(0.0, *self.if_kept(free, amplitude, covariance, _KEPT))
 
-    def _likelier(
+    def if_kept(
         self, free: tuple[int, ...], amplitude: Array, covariance: Array, shares: Sequence[float]
     ) -> list[float]:
-        """Return ln of the ratios of marginal likelihoods, other priors of all starts and ends to the one that is."""
+        """Return by how much likelier [nats] all is if starts and ends of turns err by such shares of their prior σ.
+
+        Ratios of marginal likelihoods, of amplitudes (k,) and their covariance (k, k) with the prior as it is: another
+        prior changes a normal posterior in closed form, the noise as found.
+        """
         where = [free.index(i) for i in self._own]
         sigma = np.array([self.prior[i] for i in self._own])
         spread, axes = np.linalg.eigh(covariance[np.ix_(where, where)] / np.outer(sigma, sigma))

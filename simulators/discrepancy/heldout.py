@@ -60,10 +60,10 @@ class HeldOut:
         self._seen: list[tuple[Array, Array]] = []
         self._unseen: list[tuple[Array, Array]] = []
         self._circumstance = np.array([i in self._prior for i in fit.ids], dtype=np.bool_)
-        whole = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
-        self._whole = self._products(whole, range(FOLDS))
+        first = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
+        self._whole = self._products(first, range(FOLDS))
         for fold in range(FOLDS):
-            weights = {slot: 1.0 / one.power for slot, one in self._blocks.items()}
+            weights = first
             for _ in range(_ROUNDS):
                 amplitude = _solve(*self._products(weights, _others(fold)))
                 weights = {slot: 1.0 / one.noise(amplitude, fold) for slot, one in self._blocks.items()}

@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from simulators.discrepancy.candidates import Library, Schedule
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import Lateness, Scene
 from simulators.discrepancy.evidence import Evidence, Fit
 
 _MUCH_S = 1e-3  # below which a shift adds what it adds in proportion
 _MOST_S = 8e-3
-Lateness = tuple[tuple[float, float], ...]
 
 
 def as_late(scenes: Sequence[Scene], evidence: Evidence) -> list[Scene]:

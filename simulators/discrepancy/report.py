@@ -114,7 +114,7 @@ def discrepancy(
         scenes = [_rewired(scene, wired) for scene in scenes] if wired else scenes
         read_off += limits
         mistakes += wired
-        search = _searched(scenes, tell)
+        search = _searched(scenes, lambda share, text: tell(0.8 + 0.15 * share, text))
     tell(0.95, "writing down")
     report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers)
     if out is not None:

@@ -67,7 +67,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         white_by_model = white * math.sqrt(scene.seen.interval_s) or math.inf
         shaken = _vibrated(scene, column)[came] * interval[came]
         # That a turn ends late is no reading that stood still.
-        settled = _without(off, changing[came])
+        settled = _without_ends(off, changing[came])
         for first, last in _standing(increment, (off, settled), said, white_by_model, shaken, tilted=column < 3):
             start, end = int(came[first]), int(came[last])
             if last - first + 1 < _SHORT_RUN and changing[start]:
@@ -80,7 +80,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
 
 
-def _without(off: Array, ends: NDArray[np.bool_]) -> Array:
+def _without_ends(off: Array, ends: NDArray[np.bool_]) -> Array:
     """Return what is off (n,) with what lies about the ends of turns taken for as large as what is beside it."""
     kept = np.flatnonzero(~ends)
     if kept.size < 2 * _ASIDE:

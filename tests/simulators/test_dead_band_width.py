@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from closed_form import RATE_HZ, WHITE, model, recording
+from hidden_case import hidden_case
 from scipy.stats import chi2
 
-from drivers.recording import read_recording
-from inertial.documents import BlockModel, ChannelNoise, Noise, parse_document
+from inertial.documents import ChannelNoise, Noise
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.report import discrepancy
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
-from benchmarks._blind.__main__ import write
-from benchmarks._blind.cases import make
 
 SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
 RUNS = 12
@@ -84,14 +79,11 @@ def test_where_nothing_is_silent_nothing_is_read_off(scene: Scene) -> None:
     assert half_width([silenced(scene, 1, 0.0, 0.0, scene.model.noise)], "gyro_z", SIGMA) is None
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("seed", "number"), [(90611, 56), (90609, 370)])
 def test_a_band_of_the_noise_s_own_width_has_no_step_beside_it(seed: int, number: int, tmp_path: Path) -> None:
     """What it takes away in the mean hangs on the noise, with heavy tails or of another size than all of it shows."""
-    case = make(seed, number)
-    write(case, tmp_path)
-    model = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
-    report = discrepancy([read_recording(tmp_path / "recording")], model)
+    case = hidden_case(seed, number, tmp_path)
+    report = discrepancy([case.recording], case.model)
     (true,) = case.truth["effects"]
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("dead_band", true["channel"])]
     found = report.findings[0]["parameters"]["half_width"]

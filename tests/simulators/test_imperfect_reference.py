@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import closed_form
 import numpy as np
 import pytest
+from hidden_case import hidden_case
 
-from drivers.recording import Recording, RecordingMeta, read_recording
+from drivers.recording import Recording, RecordingMeta
 from drivers.recording_meta import TurnMeta
-from inertial.documents import BlockModel, parse_document
+from inertial.documents import BlockModel
 from inertial.earth import Site
 from service.trials import record
 from simulators.discrepancy.candidates import Library
@@ -23,10 +23,6 @@ from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.shaking import spans_as_shaken
 from simulators.motion import Setup, Vibration
 from simulators.scenarios import demo_model, demo_scenario
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
-from benchmarks._blind.__main__ import write
-from benchmarks._blind.cases import make
 
 RATE_HZ = 50.0
 AXES = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
@@ -71,9 +67,8 @@ def test_a_level_that_is_far_off_is_one_error_and_no_second_for_its_square(tmp_p
 
 def test_a_false_clock_is_told_from_errors_of_timing_in_the_last_digits(tmp_path: Path) -> None:
     """Nine turns of a laser block at 100 Hz, each known to 1 ms and shown to 0.1 µs: against a fit by QR."""
-    write(make(90601, 40), tmp_path)
-    model = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
-    scene = compare(read_recording(tmp_path / "recording"), model)
+    case = hidden_case(90601, 40, tmp_path)
+    scene = compare(case.recording, case.model)
     assert len(scene.turns()) > 7
     evidence = Evidence(Library([scene], only={("clock_scale", "all")}))
     clock = next(h for h in evidence.library.hypotheses if h.effect == "clock_scale")

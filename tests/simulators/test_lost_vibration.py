@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import closed_form
 import numpy as np
 import pytest
+from hidden_case import hidden_case
 from scipy.stats import chi2
 
-from drivers.recording import RecordingMeta, read_recording
-from inertial.documents import BlockModel, parse_document
+from drivers.recording import RecordingMeta
 from simulators.discrepancy.lost_vibration import missed_mean_sigma
 from simulators.discrepancy.report import discrepancy
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
-from benchmarks._blind.__main__ import write
-from benchmarks._blind.cases import make
 
 RATE_HZ = closed_form.RATE_HZ
 
@@ -83,8 +78,6 @@ def test_a_gap_between_two_large_readings_is_no_shift_while_it_is_shaken(lost: l
 
 def test_what_a_register_held_while_it_was_shaken_is_no_part_of_the_vibration(tmp_path: Path) -> None:
     """For 0.18 s it stood at whatever it had last read, which has no mean of nought and is no rectification."""
-    case = make(90612, 316)
-    write(case, tmp_path)
-    model = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
-    report = discrepancy([read_recording(tmp_path / "recording")], model)
+    case = hidden_case(90612, 316, tmp_path)
+    report = discrepancy([case.recording], case.model)
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("stuck_samples", "accel_y")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import closed_form
 import numpy as np
 import pytest
 from closed_form import RATE_HZ, WHITE, model, recording
+from hidden_case import hidden_case
 from scipy.fft import dct
 
-from drivers.recording import Recording, RecordingMeta, read_recording
-from inertial.documents import BlockModel, ChannelNoise, Noise, parse_document
+from drivers.recording import Recording, RecordingMeta
+from inertial.documents import BlockModel, ChannelNoise, Noise
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
@@ -21,10 +21,6 @@ from simulators.discrepancy.nonstationarity import find_unsteady
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.whitening import cosine_basis
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
-from benchmarks._blind.__main__ import write
-from benchmarks._blind.cases import make
 
 STEP_RAD = 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
 RECORDS, COUNT, INTERVAL_S = 24, 16384, 0.01
@@ -161,13 +157,10 @@ def test_bursts_under_rounding_at_rest_are_no_larger_white_noise() -> None:
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {"gyro_y"}
 
 
-@pytest.mark.long
 def test_a_limit_that_the_input_passes_by_one_sigma_leaves_no_lines(tmp_path: Path) -> None:
     """The noise above the limit is gone, most of it, and what is left is rounded to lines where there were none."""
-    case = make(90611, 477)
-    write(case, tmp_path)
-    believed = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
-    report = discrepancy([read_recording(tmp_path / "recording")], believed)
+    case = hidden_case(90611, 477, tmp_path)
+    report = discrepancy([case.recording], case.model)
     assert [(one["effect"], one["channel"]) for one in report.findings] == [("saturation", "accel_x")]
     assert report.document["remaining"]["empirical"] == []
     found = report.findings[0]["parameters"]["limit"]
@@ -213,10 +206,8 @@ def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -
 
 def test_gyros_exchanged_that_hardly_feel_it_have_each_their_own_noise_and_steps(tmp_path: Path) -> None:
     """Only Earth's rate tells, by 13 σ, after all else has been looked at; the steps of the two are not the same."""
-    case = make(90612, 277)
-    write(case, tmp_path)
-    believed = parse_document(BlockModel, (tmp_path / "block.json").read_text(), "block.json")
-    report = discrepancy([read_recording(tmp_path / "recording")], believed)
+    case = hidden_case(90612, 277, tmp_path)
+    report = discrepancy([case.recording], case.model)
     on_gyros = [(one["effect"], one["channel"]) for one in report.findings if one["channel"].startswith("gyro")]
     assert on_gyros == [("axis_swap", "gyro_y<-gyro_z")]
 
