@@ -124,6 +124,7 @@ def error_spectrum(omega: Array, advance: Array, variance: float) -> Array:
     variance : of its random motion [steps² per sample]
     """
     total = np.full(omega.size, 1.0 / 12.0)
+    along, across = np.cos(omega), np.sin(omega)
     for h in range(1, _HARMONICS + 1):
         size = 1.0 / (2.0 * np.pi**2 * h**2)
         fade = np.exp(-2.0 * np.pi**2 * h**2 * variance)
@@ -131,9 +132,9 @@ def error_spectrum(omega: Array, advance: Array, variance: float) -> Array:
             break
         for stretch in range(advance.size):
             turn = 2.0 * np.pi * h * advance[stretch]
+            real, imaginary = 2.0 * fade * np.cos(turn), 2.0 * fade * np.sin(turn)
             for i in range(omega.size):
-                left = 1.0 - 2.0 * fade * np.cos(omega[i] - turn) + fade**2
-                right = 1.0 - 2.0 * fade * np.cos(omega[i] + turn) + fade**2
-                line = 0.5 * (1.0 - fade**2) * (1.0 / left + 1.0 / right)
+                middle, off = 1.0 + fade**2 - real * along[i], imaginary * across[i]
+                line = (1.0 - fade**2) * middle / ((middle - off) * (middle + off))
                 total[i] += size * (line - 1.0) / advance.size
     return total

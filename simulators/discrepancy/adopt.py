@@ -79,7 +79,7 @@ class Together:
 
 @dataclass(eq=False)
 class Adopted:
-    """An adopted hypothesis; its rivals, best first, are looked for at the end (:mod:`.rivals`)."""
+    """An adopted hypothesis, beside all others; its rivals, best first, once they were looked for (:mod:`.rivals`)."""
 
     hypothesis: Hypothesis
     gain: float
@@ -127,8 +127,8 @@ class Searcher:
         self._ranked: deque[tuple[Fit, tuple[Hypothesis, ...], list[Scored]]] = deque(maxlen=_RANKED)
         self._rounding: dict[int, tuple[Array, Array]] = {}
 
-    def run(self) -> tuple[list[Hypothesis], Fit, Fit]:
-        """Search until nothing more passes the margin: return what is adopted, the fit with it, that of noise alone."""
+    def run(self) -> Search:
+        """Search until nothing more passes the margin."""
         bare = self.evidence.fit([])
         if self.evidence.restate(bare.rss) | self.evidence.stand(bare.noise):
             bare = self.evidence.fit([])
@@ -145,7 +145,17 @@ class Searcher:
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self.fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted, _AT_LAST)
-        return adopted, current, bare
+        return Search(self.evidence, self._beside_others(adopted, current), current, bare)
+
+    def _beside_others(self, adopted: Sequence[Hypothesis], current: Fit) -> list[Adopted]:
+        """Return what each of the adopted gains when all others are there."""
+        found = []
+        for h in adopted:
+            rest = [other for other in adopted if other is not h]
+            own = self.score(h, self.fit_of(rest, current), rest)
+            if own is not None:
+                found.append(Adopted(h, own.gain, own.score))
+        return found
 
     def _correct(self, bare: Fit) -> None:
         """Let readout effects act on the input with the reference's own errors in it, where these are to be felt."""
@@ -300,10 +310,11 @@ class Searcher:
         for first in named:
             if first.score < MARGIN:
                 continue
-            seconds = [s for s in self.rank(first.fit, [*adopted, first.hypothesis]) if s.hypothesis.kind is Kind.NAMED]
+            least = max(MARGIN, curve.score - TIE - first.score)
+            seconds = self._names_beside(first.fit, [*adopted, first.hypothesis], least)
             if self._ends_a_turn(first.hypothesis):
                 seconds = [s for s in seconds if not self._ends_a_turn(s.hypothesis)]
-            if seconds and seconds[0].score > MARGIN and first.score + seconds[0].score > curve.score - TIE:
+            if seconds and seconds[0].score > least:
                 return first
         return None
 
@@ -320,22 +331,43 @@ class Searcher:
         for fit, beside, known in self._ranked:
             if fit is current and len(beside) == len(adopted) and all(map(operator.is_, beside, adopted)):
                 return known
-        found = self.rank_against(None, current, adopted)
+        found = self._ranked_by(self._looks(current), current, adopted, dict.fromkeys(Kind, (-math.inf, -math.inf)))
         self._ranked.append((current, tuple(adopted), found))
         return found
 
-    def rank_against(self, own: Scored | None, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
-        """Return the leading hypotheses in the place of one, which is not among those adopted, or in none's.
+    def rank_against(self, own: Scored, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
+        """Return the leading hypotheses in the place of one, which is not among those adopted.
 
-        Those that even in quiet noise would score less than the best of their kind, or far less than ``own``, are left
-        out; not those that promised as much as it did, which may have scored far more as it has left quieter noise.
+        Those that even in quiet noise would score far less than it are left out; not those that promised as much as it
+        did, which may have scored far more as it has left quieter noise.
         """
-        look = Look(self.evidence, current, self.quiet(current))
-        looks = Look(self.evidence, current, current.noise), look
+        looks = self._looks(current)
+        wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, looks) - TIE))
+        return self._ranked_by(looks, current, adopted, wanted)
+
+    def _names_beside(self, current: Fit, adopted: Sequence[Hypothesis], least: float) -> list[Scored]:
+        """Return the leading names beside those adopted, best first; those that promise far less than ``least`` not."""
+        wanted = dict.fromkeys(Kind, (math.inf, math.inf)) | {Kind.NAMED: (least, math.inf)}
+        ranked = self._ranked_by(self._looks(current), current, adopted, wanted)
+        return [s for s in ranked if s.hypothesis.kind is Kind.NAMED]
+
+    def _looks(self, current: Fit) -> tuple[Look, Look]:
+        """Return a look in the noise as fitted, and one in the noise in which nothing slow is random."""
+        return Look(self.evidence, current, current.noise), Look(self.evidence, current, self.quiet(current))
+
+    def _ranked_by(
+        self,
+        looks: tuple[Look, Look],
+        current: Fit,
+        adopted: Sequence[Hypothesis],
+        wanted: dict[Kind, tuple[float, float]],
+    ) -> list[Scored]:
+        """Return the leading hypotheses, best first.
+
+        ``wanted``: the score that one of each kind must promise, unless it promises the second; raised by the best.
+        """
+        _, look = looks
         scored: list[Scored] = []
-        wanted = dict.fromkeys(Kind, (-math.inf, -math.inf))  # score and promise
-        if own is not None:
-            wanted = dict.fromkeys(Kind, (own.score - _SLACK, self._promise(own.hypothesis, looks) - TIE))
         refined = 0
         for promise, hypothesis in self._leaders(current, adopted, looks):
             least, alike = wanted[hypothesis.kind]
@@ -478,16 +510,13 @@ class Searcher:
             places *= FITTED_PLACES
             value += math.log(FITTED_PLACES)
         for _ in range(_ZOOMS[name]):
-            for sign in (-1.0, 1.0):
-                at = middle * math.exp(sign * width) if relative else middle + sign * width
-                if name == "time_constant" and at > self.library.longest_s:
-                    continue
-                trial = self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, places)
-                if trial is None:
-                    continue
-                gain = look.gain(trial)
+            sides = [middle * math.exp(x) if relative else middle + x for x in (-width, width)]
+            sides = [at for at in sides if name != "time_constant" or at <= self.library.longest_s]
+            made = [self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, places) for at in sides]
+            trials = [trial for trial in made if trial is not None]
+            for trial, gain in zip(trials, look.gains(trials), strict=True):
                 if gain > value:
-                    best, value = trial, gain
+                    best, value = trial, float(gain)
                 else:
                     self.library.forget(trial)
             middle = best.shape[name]

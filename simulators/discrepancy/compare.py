@@ -107,8 +107,9 @@ class Scene:
         level = np.add.reduceat(off, edges[:-1]) / np.diff(edges)
         return np.asarray(predicted + np.repeat(level, np.diff(edges)))
 
+    @cached_property
     def vibrations(self) -> list[tuple[NDArray[np.bool_], Array]]:
-        """Return where each vibration goes on (n,), and its axis (3,), body, of length one."""
+        """Where each vibration goes on (n,), and its axis (3,), body, of length one."""
         return _vibrations(self.setup, self.seen)
 
     def unshaken(self, rates: Array, column: int) -> Array:
@@ -118,13 +119,18 @@ class Scene:
         """
         if column >= 3:
             return rates
-        left, came = rates, accelerometers_came(self.data)
-        for rows, axis in self.vibrations():
+        left, came = rates, self.accelerometers_came
+        for rows, axis in self.vibrations:
             part = left[rows]
             if axis[column] and came[rows].any():
                 left = left.copy()
                 left[rows] = part - axis[column] ** 2 * (part - part[came[rows]].mean())
         return left
+
+    @cached_property
+    def accelerometers_came(self) -> NDArray[np.bool_]:
+        """Which samples (n,) came with all three accelerometers' readings."""
+        return ~np.asarray(np.any(self.data.missing[:, :3], axis=1))
 
     @cached_property
     def _gaps(self) -> tuple[Gaps, ...]:
@@ -266,7 +272,7 @@ def following_vibrations(scene: Scene) -> Scene:
     seen, predicted, shaken = replace(scene.seen, accel_mps2=accel), scene.predicted, np.zeros_like(accel)
     if scene.shaken.any():
         predicted = _readings(scene.model, seen)
-    off, came = (scene.measured - predicted)[:, :3], accelerometers_came(scene.data)
+    off, came = (scene.measured - predicted)[:, :3], scene.accelerometers_came
     setup = spans_as_shaken(scene.setup, seen.time_s, off, ~came)
     shaking = vibration_mean_square(setup, seen.time_s - 0.5 * seen.interval_s)
     scene, seen = replace(scene, setup=setup), replace(seen, vibration_mps2_squared=shaking)
@@ -289,11 +295,6 @@ def _levelled(setup: Setup, data: Repaired) -> Setup:
     forward = setup.C_tb[0] - up * (setup.C_tb[0] @ up)
     forward /= np.linalg.norm(forward)
     return replace(setup, C_tb=np.array([forward, np.cross(up, forward), up]))
-
-
-def accelerometers_came(data: Repaired) -> NDArray[np.bool_]:
-    """Return which samples (n,) came with all three accelerometers' readings."""
-    return ~np.asarray(np.any(data.missing[:, :3], axis=1))
 
 
 def _shaken(setup: Setup, seen: Circumstances, residual: Array, came: NDArray[np.bool_]) -> Array:

@@ -90,7 +90,7 @@ def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Arr
     reading, acting = scene.measured[:, column], scene.acting(column)
     near = ~scene.data.missing[:, column] & (np.abs(acting) < _NEAR * about + _FAR_SIGMAS * sigma)
     if column < 3:
-        for rows, axis in scene.vibrations():
+        for rows, axis in scene.vibrations:
             near &= ~(rows & (axis[column] != 0.0))
     pairs = np.column_stack([np.round(acting[near] / (_ALIKE * sigma)), reading[near]])
     unique, counts = np.unique(pairs, axis=0, return_counts=True)

@@ -89,17 +89,25 @@ class InnerProducts:
         return Products(np.array(where, dtype=np.int64), found.gram, found.with_residual)
 
     def _gathered(self, ids: tuple[int, ...]) -> Products:
+        """Return products put together; those of columns that a set at hand begins with as well are taken from it."""
         bins, count = len(self.residual2), len(ids)
-        gram, with_residual = np.zeros((bins, count, count)), np.zeros((bins, count))
-        first = [place for place, i in enumerate(ids) if i < self._base]
+        gram, with_residual = np.empty((bins, count, count)), np.empty((bins, count))
+        alike = max(self._at_hand, key=lambda other: _shared(other, ids), default=())
+        begin = _shared(alike, ids)
+        if begin:
+            gram[:, :begin, :begin] = self._at_hand[alike].gram[:, :begin, :begin]
+            with_residual[:, :begin] = self._at_hand[alike].with_residual[:, :begin]
+        first = np.array([place for place, i in enumerate(ids) if i < self._base], dtype=np.int64)
         among = np.array([self.place[ids[place]] for place in first], dtype=np.int64)
-        for place, local in zip(first, among, strict=True):
-            gram[:, place, first] = self.gram[:, local, among]
-            with_residual[:, place] = self.with_residual[:, local]
+        for place in range(begin, count):
+            if ids[place] < self._base:
+                local = self.place[ids[place]]
+                gram[:, place, first] = gram[:, first, place] = self.gram[:, local, among]
+                with_residual[:, place] = self.with_residual[:, local]
         for place in (place for place, i in enumerate(ids) if i >= self._base):
             with_residual[:, place] = self._product(ids[place], -1)
-            for other, j in enumerate(ids):
-                gram[:, place, other] = gram[:, other, place] = self._product(ids[place], j)
+            for other in range(0 if place >= begin else begin, count):
+                gram[:, place, other] = gram[:, other, place] = self._product(ids[place], ids[other])
         return Products(np.arange(count), gram, with_residual)
 
     def _product(self, i: int, j: int) -> Array:
@@ -118,6 +126,11 @@ class InnerProducts:
         """Return products (m,) of a late column with the library's, weighted by coefficient (n,)."""
         part = self._columns[i].parts[self._slot] * each
         return np.array([self._columns[j].parts[self._slot] @ part for j in self.place])
+
+
+def _shared(one: Sequence[int], two: Sequence[int]) -> int:
+    """Return how many columns two sets begin with alike."""
+    return next((k for k, (i, j) in enumerate(zip(one, two, strict=False)) if i != j), min(len(one), len(two)))
 
 
 def _reach(part: Array, bounds: NDArray[np.int64]) -> int:

@@ -19,23 +19,24 @@ _MUCH_S = 1e-3  # below which a shift adds what it adds in proportion
 _MOST_S = 8e-3
 
 
-def as_late(scenes: Sequence[Scene], evidence: Evidence) -> list[Scene]:
+def as_late(scenes: Sequence[Scene]) -> list[Scene]:
     """Return the scenes with how late each turn's start and end were, where some were late by much.
 
-    Once as ``evidence`` of the scenes says, which takes all shifts for small, and once by chords to what it says.
+    Once with all shifts taken for small, and once by chords to what was found.
     """
     scenes = list(scenes)
-    late = _late(evidence)
+    if not any(scene.turns() for scene in scenes):
+        return scenes
+    late = _late(scenes)
     if late:
         scenes = _with(scenes, late)
-        scenes = _with(scenes, _late(Evidence(Library(scenes, only=(), plain=True))))
+        scenes = _with(scenes, _late(scenes))
     return scenes
 
 
-def _late(evidence: Evidence) -> dict[int, Lateness]:
+def _late(scenes: list[Scene]) -> dict[int, Lateness]:
     """Return the lateness of the recordings in which some is much."""
-    if not evidence.library.schedules:
-        return {}
+    evidence = Evidence(Library(scenes, only=(), plain=True))
     fit = evidence.fit([])
     if evidence.restate(fit.rss) | evidence.stand(fit.noise):
         fit = evidence.fit([])

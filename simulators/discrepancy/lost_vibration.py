@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.compare import Scene, accelerometers_came
+from simulators.discrepancy.compare import Scene
 
 Array = NDArray[np.float64]
 
@@ -21,8 +21,8 @@ _FEWEST = 20  # parts of what came, each as long as a gap, that tell how large s
 def lost_vibration(scene: Scene) -> list[tuple[Array, float]]:
     """Return, of each vibration with gaps, a mean along its axis as a change of readings (n, 6), and its σ."""
     found = []
-    came = accelerometers_came(scene.data)
-    for rows, axis in scene.vibrations():
+    came = scene.accelerometers_came
+    for rows, axis in scene.vibrations:
         sigma = missed_mean_sigma(scene.shaken[rows] @ axis, came[rows])
         if sigma > 0.0:
             change = np.zeros((scene.time_s.size, 6))

@@ -30,7 +30,7 @@ from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, 
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
-from simulators.discrepancy.rivals import with_rivals
+from simulators.discrepancy.rivals import find_rivals
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.unexplained import Unexplained, judge
@@ -114,9 +114,8 @@ def discrepancy(
         scenes = [_rewired(scene, wired) for scene in scenes] if wired else scenes
         read_off += limits
         mistakes += wired
-        search = _searched(scenes, lambda share, text: tell(0.8 + 0.15 * share, text))
-    tell(0.95, "writing down")
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers)
+        search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text))
+    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers, tell)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -125,36 +124,35 @@ def discrepancy(
 
 def _searched(scenes: list[Scene], tell: Progress) -> Search:
     tell(0.1, "listing what could explain")
-    library = Library(scenes)
+    library = Library(as_late(scenes))
     tell(0.25, "gathering")
     evidence = Evidence(library)
-    late = as_late(scenes, evidence)
-    if any(scene.lateness_s for scene in late):
-        evidence = Evidence(Library(late))
-    searcher = Searcher(evidence, tell)
-    adopted, fit, bare = searcher.run()
-    return Search(evidence, with_rivals(searcher, adopted, fit), fit, bare)
+    return Searcher(evidence, tell).run()
 
 
 def _limits(search: Search) -> list[ReadOff]:
     """Return limits that were named and have no rival, met by the noise: what it leaves beyond them is no noise."""
+    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect == "saturation" and a.score > _SURE]
     found = []
-    for one in search.of_kind(Kind.NAMED):
-        h = one.hypothesis
-        if h.effect == "saturation" and one.score > _SURE and not one.ties and not one.pairs:
-            everything = [a.hypothesis for a in search.adopted]
-            limit = parameters_of(search.evidence, h, everything, search.fit)["limit"]
-            found.append(ReadOff("saturation", h.channel, limit.value, limit.sigma or 0.0, one.score))
+    for one in _without_rival(search, named):
+        h, everything = one.hypothesis, [a.hypothesis for a in search.adopted]
+        limit = parameters_of(search.evidence, h, everything, search.fit)["limit"]
+        found.append(ReadOff("saturation", h.channel, limit.value, limit.sigma or 0.0, one.score))
     return found
 
 
 def _wired(search: Search) -> list[Mistake]:
     """Return mistakes of wiring that were too little to be seen before, but named: each sensor has its own noise."""
+    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect in REWIRED]
     return [
         Mistake(one.hypothesis.effect, one.hypothesis.channel, explained=2.0 * one.score)
-        for one in search.of_kind(Kind.NAMED)
-        if one.hypothesis.effect in REWIRED and not one.ties and not one.pairs
+        for one in _without_rival(search, named)
     ]
+
+
+def _without_rival(search: Search, named: Sequence[Adopted]) -> list[Adopted]:
+    find_rivals(search, named, _silent)
+    return [one for one in named if not one.ties and not one.pairs]
 
 
 def _rewired(scene: Scene, mistakes: list[Mistake]) -> Scene:
@@ -174,6 +172,7 @@ def _report(
     stuck: list[Stuck],
     read_off: list[ReadOff],
     outliers: list[Outlier],
+    tell: Progress,
 ) -> Report:
     evidence = search.evidence
     held = HeldOut(evidence, search.fit)
@@ -183,6 +182,9 @@ def _report(
     silenced = {a.hypothesis.channel for a in named if isinstance(get_effect(a.hypothesis.effect), SampleEffect)}
     unexplained = judge(search, named, noise.other, silenced | {one.channel for one in read_off})
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
+    curves = sorted(unexplained.curves, key=lambda a: -a.score)[:1]
+    find_rivals(search, [*named, *curves], lambda share, text: tell(0.85 + 0.1 * share, text))
+    tell(0.95, "writing down")
     findings = [_wiring_finding(m, search) for m in mistakes]
     findings += _repair_findings(scenes, stuck)
     findings += [_read_off_finding(one, scenes) for one in read_off]
@@ -223,7 +225,7 @@ def _report(
         "inputs": _inputs(recordings),
         "next_recording": [],
     }
-    document["next_recording"] = _next(search, named, findings, unexplained)
+    document["next_recording"] = _next(search, named, curves, findings, unexplained)
     document["text"] = in_words(document)
     return Report(document, child, tuple(scenes), search)
 
@@ -471,14 +473,17 @@ def _noise_document(search: Search) -> dict[str, Any]:
 
 
 def _next(
-    search: Search, named: Sequence[Adopted], findings: Sequence[dict[str, Any]], unexplained: Unexplained
+    search: Search,
+    named: Sequence[Adopted],
+    curves: Sequence[Adopted],
+    findings: Sequence[dict[str, Any]],
+    unexplained: Unexplained,
 ) -> list[dict[str, Any]]:
     """Return proposals for what has no name, else for the least certain finding, else for what may hide unseen.
 
     Each finding gets its own best one as well.
     """
     evidence, fit = search.evidence, search.fit
-    curves = sorted(unexplained.curves, key=lambda a: -a.score)[:1]
     asked = [*named, *curves]
     questions = [(a.hypothesis, _asked_of(a)) for a in asked]
     answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]

@@ -7,9 +7,9 @@ one. Two such names tie with the one found as a third name would.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from simulators.discrepancy.adopt import TIE, Adopted, Scored, Searcher, Together
+from simulators.discrepancy.adopt import TIE, Adopted, Scored, Search, Searcher, Together
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
@@ -18,30 +18,24 @@ _SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
 _LISTED = 8
 
 
-def with_rivals(searcher: Searcher, adopted: Sequence[Hypothesis], fit: Fit) -> list[Adopted]:
-    """Say for each of the adopted names, and for the curve of most evidence, what else could stand in its place."""
-    found: list[Adopted] = []
-    alone: dict[int, tuple[Scored, list[Hypothesis], Fit]] = {}
-    for h in adopted:
-        rest = [other for other in adopted if other is not h]
-        without = searcher.fit_of(rest, fit)
-        own = searcher.score(h, without, rest)
-        if own is not None:
-            found.append(Adopted(h, own.gain, own.score))
-            alone[id(h)] = own, rest, without
-    curves = (a for a in found if a.hypothesis.kind is Kind.EMPIRICAL)
-    largest = max(curves, key=lambda a: a.score, default=None)
-    asked = [a for a in found if a.hypothesis.kind is Kind.NAMED or a is largest]
+def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float, str], None]) -> None:
+    """Say of some of what was adopted what else could stand in its place, all others present.
+
+    ``tell`` is called with the share done and a word on what is being done.
+    """
+    searcher = Searcher(search.evidence)
     for place, entry in enumerate(asked):
         h = entry.hypothesis
-        searcher.progress(0.8 + 0.15 * place / len(asked), f"looking for rivals of {h.effect}")
-        own, rest, without = alone[id(h)]
+        tell(place / len(asked), f"looking for rivals of {h.effect}")
+        rest = [other.hypothesis for other in search.adopted if other is not entry]
+        without = searcher.fit_of(rest, search.fit)
+        own = searcher.score(h, without, rest)
+        assert own is not None  # or it had not been adopted
         ranked = [s for s in searcher.rank_against(own, without, rest) if s.hypothesis.name != h.name]
         entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             entry.pairs = _pairs(searcher, own, rest, without)
-    return found
 
 
 def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:

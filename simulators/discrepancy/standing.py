@@ -97,7 +97,7 @@ def _vibrated(scene: Scene, column: int) -> Array:
     """Return by how much a vibration changes a channel's rate from each sample to the next (n,)."""
     change = np.zeros(len(scene.measured))
     if column < 3:
-        for rows, axis in scene.vibrations():
+        for rows, axis in scene.vibrations:
             if axis[column]:
                 change[rows] = np.diff(scene.shaken[rows, column], prepend=scene.shaken[rows, column][:1])
     return change

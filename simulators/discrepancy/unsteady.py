@@ -122,7 +122,7 @@ def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
     if channel >= 3:
         return put_back
     source = _alike(quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest"), n)
-    for rows, axis in scene.vibrations():
+    for rows, axis in scene.vibrations:
         shaken = rows[: n * scene.group].reshape(n, scene.group).any(axis=1)
         put_back[shaken] = abs(float(axis[channel])) * source[shaken]
     return put_back

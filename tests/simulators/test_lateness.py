@@ -41,7 +41,7 @@ def test_how_late_the_turns_were_is_found(late: Scene, tmp_path: Path, monkeypat
     hidden_case(SEED, NUMBER, tmp_path)
     true = drawn[-1]
     true_s = np.array([(one.start_shift_s, one.end_shift_s) for one in true.turns]) + true.offset_s
-    (scene,) = as_late([late], Evidence(Library([late], only=(), plain=True)))
+    (scene,) = as_late([late])
     assert abs(true_s.mean()) > 2e-3
     assert np.sqrt(np.mean((np.array(scene.lateness_s) - true_s) ** 2)) < 3e-4
 
