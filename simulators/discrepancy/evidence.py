@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS, ChannelNoise
 from inertial.rounding import power_scatter
 from simulators.discrepancy.atoms import Steps
-from simulators.discrepancy.candidates import Kind, Library, Slot
+from simulators.discrepancy.candidates import Column, Kind, Library, Slot
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -34,6 +34,7 @@ _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
 _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
+_NOTHING = 1e-3  # σ of one channel's data below which it is not there
 
 
 def bayes_factor(gain: float, count: int, places: float) -> float:
@@ -97,7 +98,7 @@ class Evidence:
         self._weighed: dict[Slot, tuple[Products, NoiseFit, Array, Array]] = {}
         for slot in library.residual:
             self._gather(slot)
-        self.prior = {i: sigma for i, sigma in library.nuisance if self._felt(i, sigma)}
+        self.prior = self._felt()
         self._always = tuple(self.prior)
         self._own = [i for s in library.schedules.values() for late in (*s.starts, *s.ends) for i in late]
         self._own = [i for i in self._own if i in self.prior]
@@ -222,17 +223,30 @@ class Evidence:
         self.basis[slot] = basis
         self.inner[slot] = InnerProducts(self.library, slot, basis.bounds)
 
-    def _felt(self, column: int, sigma: float) -> bool:
-        """Whether an uncertainty of the reference is more than a tenth of σ of these data, taken all together."""
-        felt = 0.0
-        for slot, part in self.library.columns[column].parts.items():
-            basis, stated = self.basis[slot], self.stated[slot]
-            rss = self.inner[slot].residual2
-            power = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False).power
-            if stated is not None:
-                power = np.minimum(power, stated)
-            felt += float(np.sum(np.add.reduceat(part**2, basis.bounds[:-1]) / power))
-        return sigma**2 * felt > _FELT**2
+    def _felt(self) -> dict[int, float]:
+        """Return the uncertainties of the reference that are more than a tenth of σ of these data all together.
+
+        Where one is next to nothing in a slot it is taken out of it.
+        """
+        known = {slot: self._least_power(slot) for slot in self.slots}
+        felt = {}
+        for i, sigma in self.library.nuisance:
+            parts = self.library.columns[i].parts
+            power = {s: sigma**2 * float(np.sum(self._squares(s, p) / known[s])) for s, p in parts.items()}
+            if sum(power.values()) > _FELT**2:
+                felt[i] = sigma
+                self.library.columns[i] = Column({s: p for s, p in parts.items() if power[s] > _NOTHING**2})
+        return felt
+
+    def _least_power(self, slot: Slot) -> Array:
+        """Return the power (bins,) of noise in which nothing is slow, or that stated where it is less."""
+        basis, stated = self.basis[slot], self.stated[slot]
+        rss = self.inner[slot].residual2
+        power = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False).power
+        return power if stated is None else np.minimum(power, stated)
+
+    def _squares(self, slot: Slot, part: Array) -> Array:
+        return np.asarray(np.add.reduceat(part**2, self.basis[slot].bounds[:-1]))
 
     def normal(self, ids: Sequence[int], power: Mapping[Slot, Array]) -> tuple[Array, Array]:
         """Return the normal equations of columns, less their priors: matrix (k, k) and right side (k,)."""

@@ -57,6 +57,7 @@ class InnerProducts:
         self.with_residual = np.ascontiguousarray(gram[:, 1:, 0])
         self.residual2 = gram[:, 0, 0]
         self._late: dict[tuple[int, int], Array] = {}
+        self._across: dict[int, Array] = {}
         self._at_hand: dict[tuple[int, ...], Products] = {}
 
     def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> Array:
@@ -122,10 +123,13 @@ class InnerProducts:
         """Return Gram and products with the residual of the library's columns, summed over bins with a weight."""
         return np.tensordot(weight, self.gram, 1), weight @ self.with_residual
 
-    def across(self, i: int, each: Array) -> Array:
-        """Return products (m,) of a late column with the library's, weighted by coefficient (n,)."""
-        part = self._columns[i].parts[self._slot] * each
-        return np.array([self._columns[j].parts[self._slot] @ part for j in self.place])
+    def across(self, i: int, weight: Array) -> Array:
+        """Return products (m,) of a late column with the library's, summed over bins with a weight."""
+        if i not in self._across:
+            part, starts = self._columns[i].parts[self._slot], self._bounds[:-1]
+            others = (self._columns[j].parts.get(self._slot, 0.0) for j in self.place)
+            self._across[i] = np.array([np.add.reduceat(other * part, starts) for other in others])
+        return np.asarray(self._across[i] @ weight)
 
 
 def _shared(one: Sequence[int], two: Sequence[int]) -> int:

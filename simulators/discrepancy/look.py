@@ -133,7 +133,7 @@ class Look:
                 if i in inner.place:
                     cross[ids, place] += gram[:, inner.place[i]]
                 elif slot in evidence.library.columns[i].parts:
-                    cross[ids, place] += inner.across(i, self._spread(slot))
+                    cross[ids, place] += inner.across(i, self._weight[slot])
         return whole, score, cross
 
     def _spread(self, slot: Slot) -> Array:
