@@ -28,6 +28,8 @@ TERMS = {
 }
 """Effect, its parameter, and unit noise of its kind."""
 MARGIN = 7.0
+CERTAIN = 3.5
+"""... of slow noise that is certain, as the spectrum is of no colour otherwise: few coefficients tell which it is."""
 OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
 SEEN = 50.0
@@ -184,6 +186,10 @@ def _of_channel(
     lower = all(np.median(fit.noise[slot].power / whole[slot]) < _LOWER for slot in slots)
     if gained / scatter < OTHER_COLOUR + _OF_TOTAL * total or lower:
         return found, [], swaying
+    if not found and margin > CERTAIN:
+        slow = _of_channel(evidence, fit, slots, columns, CERTAIN)
+        if slow[0] and not any(one.effect in _OF_SAMPLES for one in slow[0]):
+            return slow
     return [], [OtherNoise(_channel_of(slots), gained + total, _band_hz(evidence, fit, slots[0], whole[slots[0]]))], {}
 
 
