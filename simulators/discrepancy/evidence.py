@@ -85,8 +85,8 @@ class Evidence:
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
-        self.came: dict[Slot, float] = {}
-        """Share of samples that came. What stands for the others has no noise of its own and is no evidence."""
+        self.came: dict[Slot, Array] = {}
+        """Share (bins,) of what was there to be seen that came: see :meth:`.repair.Gaps.seen`."""
         self.sways = True
         """Whether the mount may sway: see :meth:`stand`."""
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
@@ -199,8 +199,9 @@ class Evidence:
         scene = self.library.scenes[slot[0]]
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
-        self.came[slot] = 1.0 - float(scene.data.missing[:, slot[1]].mean())
-        self.eased[slot] = self.came[slot] * float(np.mean(self.library.spread[slot] ** -2.0))
+        gaps = Gaps.of(scene.data.missing[:, slot[1]])
+        self.came[slot] = gaps.seen(basis.frequency_hz * scene.seen.interval_s)
+        self.eased[slot] = float(np.mean(gaps.came) * np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
@@ -215,7 +216,7 @@ class Evidence:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
         if stated is not None:
-            self._torn[slot] = _torn(Gaps.of(scene.data.missing[:, slot[1]]), noise.quantisation, basis)
+            self._torn[slot] = _torn(gaps, noise.quantisation, basis)
             stated = stated + self._torn[slot]
         self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
@@ -418,8 +419,8 @@ class Evidence:
 
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
         penalty = noise.penalty
-        value = -0.5 * np.sum(self.basis[slot].counts * np.log(noise.power) + rss / noise.power)
-        return self.came[slot] * float(value) - penalty
+        each = self.basis[slot].counts * np.log(noise.power) + rss / noise.power
+        return float(-0.5 * self.came[slot] @ each) - penalty
 
 
 def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:

@@ -97,6 +97,17 @@ class Gaps:
         begin, first, end, _ = self.spans.T
         return np.asarray(0.5 * (end - first) / np.maximum(first - begin, 1))
 
+    def seen(self, frequency: Array) -> Array:
+        """Return the share of all that there was at frequencies [1/sample] that the values which came tell.
+
+        What stands for missing ones repeats those beside and is no evidence. But of what changes little within a gap
+        and these nothing is hidden: there the noise is that of fewer values.
+        """
+        _, first, end, _ = self.spans.T
+        length, number = np.unique(end - first, return_counts=True)
+        hidden = 1.0 - np.sinc(2.0 * np.outer(frequency, length)) ** 2
+        return np.asarray(1.0 - hidden @ (length * number) / len(self.came))
+
     def fill(self, values: Array) -> Array:
         """Return values (n,) with the missing ones filled: a linear operation."""
         if not self.missing.size:

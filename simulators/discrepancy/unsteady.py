@@ -13,9 +13,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import median_filter
+from scipy.stats import chi2
 
-from simulators.discrepancy.compare import MEDIAN_OF_SQUARES, Scene
+from inertial.documents import CHANNELS
+from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.whitening import cosine_basis
 
 Array = NDArray[np.float64]
 
@@ -25,8 +28,9 @@ _SIGNIFICANT = 1.35
 _SIGMA = 0.9  # of ln of a mean size of second differences, times the root of their number
 _CERTAIN = 4.0  # σ by which noise must be larger
 _FEWEST = 24
-_ORDINARY = 0.9  # of the second differences
-_BANDS, _AROUND = 60, 9  # of the spectrum of noise, and how many a level is the median of
+_ORDINARY = 0.9  # of the second differences, or of squares
+_MEAN_OF_ORDINARY = float(chi2.cdf(chi2.ppf(_ORDINARY, 1), 3)) / _ORDINARY  # of a standard normal variable's squares
+_BANDS, _AROUND = 20, 3  # of the spectrum of noise, and how many a level is the median of
 _FEWEST_EACH = 3  # block means for each input that may act on them
 _SEEN = 1e-6  # of the largest input's bend
 
@@ -39,8 +43,7 @@ def level_spread(scene: Scene, channel: int) -> tuple[Array, Array]:
     still, moving = _regimes(scene, channel, len(residual))
     if not any(rows.any() for rows in moving):
         return residual, spread
-    quiet = residual[still] if still.sum() >= _FEWEST else residual
-    residual = residual + _hidden_noise(scene, channel, quiet, len(residual))
+    residual = residual + _hidden_noise(scene, channel, residual, still)
     block = max(1, round(_BLOCK_S / scene.interval_s))
     white = math.isinf(scene.freely_rounded_hz(channel))
     blocks = (1, block) if white else (block,)  # the rounding of single samples is another in each motion
@@ -69,17 +72,6 @@ def _regimes(scene: Scene, channel: int, n: int) -> tuple[NDArray[np.bool_], lis
         turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
     return came & ~(turning | shaking | edge), [came & turning & ~edge, came & shaking & ~edge]
-
-
-def _alike(noise: Array, n: int) -> Array:
-    """Return other noise (n,) of the same spectrum, less its lines, which stand in the columns that explain them."""
-    power = np.square(dct(noise, norm="ortho"))
-    edges = np.unique(np.round(np.geomspace(1, len(power), _BANDS + 1)).astype(np.int64) - 1)
-    level = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEDIAN_OF_SQUARES
-    level = median_filter(level, _AROUND, mode="nearest")  # a strong line leaks where stretches at rest are joined
-    place = np.searchsorted(edges[1:-1], np.arange(n) * len(power) / n, side="right")
-    random = np.random.default_rng(len(noise))
-    return np.asarray(idct(np.sqrt(level[place]) * random.standard_normal(n), norm="ortho"))
 
 
 def _inputs(scene: Scene, channel: int) -> Array:
@@ -116,13 +108,47 @@ def _bends(values: Array, block: int) -> Array:
     return np.asarray(np.diff(values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1), 2, axis=0))
 
 
-def _hidden_noise(scene: Scene, channel: int, quiet: Array, n: int) -> Array:
+def _hidden_noise(scene: Scene, channel: int, residual: Array, still: NDArray[np.bool_]) -> Array:
     """Return noise (n,) of the kind at rest, where the vibration's own course has been taken out along with it."""
+    n = len(residual)
     put_back = np.zeros(n)
     if channel >= 3:
         return put_back
-    source = _alike(quiet - uniform_filter1d(quiet, max(3, round(_BLOCK_S / scene.interval_s)), mode="nearest"), n)
+    still = still if still.sum() >= _FEWEST else np.ones(n, dtype=np.bool_)
+    moved = scene.motion(channel)
+    level = _level(residual[still], _stated(scene, channel, moved[still]), scene.interval_s)
+    random = np.random.default_rng(n)
     for rows, axis in scene.vibrations:
         shaken = rows[: n * scene.group].reshape(n, scene.group).any(axis=1)
-        put_back[shaken] = abs(float(axis[channel])) * source[shaken]
+        if axis[channel] and shaken.any():
+            power = np.interp(np.arange(n) / n, *level) * _resized(_stated(scene, channel, moved[shaken]), n)
+            noise = idct(np.sqrt(power) * random.standard_normal(n), norm="ortho")[shaken]
+            put_back[shaken] += abs(float(axis[channel])) * (noise - noise.mean())
     return put_back
+
+
+def _stated(scene: Scene, channel: int, moved: Array) -> Array:
+    """Return the power (m,) of the noise that the model states for a channel moved so (m,); one if it states none."""
+    basis = cosine_basis(len(moved), scene.interval_s)
+    power = basis.each(basis.stated(getattr(scene.model.noise, CHANNELS[channel]), 0.0, moved))
+    return power if power.all() else np.ones(len(moved))
+
+
+def _resized(power: Array, n: int) -> Array:
+    """Return power (n,) at n frequencies of the same band."""
+    return np.interp(np.arange(n) / n, np.arange(len(power)) / len(power), power)
+
+
+def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array]:
+    """Return at shares of the band by how much noise at rest is more than stated, less its lines.
+
+    These stand in the columns that explain them; and what is slow at rest may be no noise, so that below a band of
+    single blocks it is taken for as much more as there.
+    """
+    power = np.square(dct(quiet, norm="ortho")) / stated
+    first = max(1, round(2.0 * interval_s / _BLOCK_S * len(power)))
+    edges = np.unique(np.round(np.geomspace(first, len(power), _BANDS + 1)).astype(np.int64))
+    bands = (np.sort(power[a:b])[: math.ceil(_ORDINARY * (b - a))] for a, b in itertools.pairwise(edges))
+    level = np.array([band.mean() for band in bands]) / _MEAN_OF_ORDINARY
+    level = median_filter(level, _AROUND, mode="nearest")  # a strong line leaks where stretches at rest are joined
+    return 0.5 * (edges[1:] + edges[:-1]) / len(power), level
