@@ -38,6 +38,7 @@ _LEAST_NOISE = 0.05  # of a step
 _EDGE_S = 0.1  # about the ends of a turn
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
+_COUNTED_IN_RUN = 3.0  # steps that a run's input comes to, which a readout of small inputs would have read
 _FEWER, _FEWER_SIGMAS = 0.8, 3.0  # of what is to be expected, and of its scatter, that is too few
 _TOO_MANY = 3.0  # times as many zeros as are to be expected
 _NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
@@ -147,7 +148,10 @@ def _standing(
     at_zero = candidate & (increment[first] == 0.0)
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
-    candidate &= ~at_zero | (lengths >= by_custom)  # a coarse readout of a small input is at zero most of the time
+    # A coarse readout of a small input is at zero most of the time.
+    sums = np.concatenate([[0.0], np.cumsum(said)])
+    counted = np.abs(sums[last + 1] - sums[first + 1]) / step
+    candidate &= ~at_zero | (lengths >= by_custom) | (counted > _COUNTED_IN_RUN)
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)

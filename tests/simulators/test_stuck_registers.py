@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from closed_form import GRAVITY_MPS2, RATE_HZ, model, recording
+from hidden_case import hidden_case
 
 from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.compare import compare
@@ -59,6 +61,17 @@ def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float
     assert found[0].duration_s == pytest.approx(count / RATE_HZ, abs=20 / RATE_HZ)
     assert scene.data.missing[first : first + count, 0].all()
     assert not scene.data.missing[:, 1:].any()
+
+
+def test_zeros_where_half_a_step_a_sample_goes_on_are_a_stuck_register_though_others_are_longer(tmp_path: Path) -> None:
+    """Where the gyro lies across Earth's rate it reads five times as many zeros in a row."""
+    case = hidden_case(90613, 295, tmp_path)
+    (hidden,) = case.truth["effects"]
+    assert hidden["effect"] == "stuck_samples"
+    (found,) = find_stuck(compare(case.recording, case.model))[1]
+    assert found.channel == hidden["channel"] == "gyro_x"
+    assert abs(found.start_s - hidden["parameters"]["start"]) < 3.0 * found.sigma_s
+    assert abs(found.duration_s - hidden["parameters"]["duration"]) < 3.0 * found.sigma_s
 
 
 @pytest.mark.parametrize(("noise_steps", "count"), [(0.15, 30), (0.2, 60), (0.3, 60)])
