@@ -1,0 +1,32 @@
+"""Noise that is more than stated: its term is named where the spectrum is of one, and is unknown where it is of none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hidden_case import hidden_case
+
+from simulators.discrepancy.report import discrepancy
+
+
+def test_slow_noise_that_few_coefficients_tell_is_named_by_terms_that_explain_it_not_of_another_colour(
+    tmp_path: Path,
+) -> None:
+    """A rate random walk of d = 10: no term has much over another, but what is there is certain."""
+    case = hidden_case(90613, 416, tmp_path)
+    (hidden,) = case.truth["effects"]
+    report = discrepancy([case.recording], case.model)
+    (found,) = report.findings
+    names = {found["effect"], *(other["effect"] for other in found["alternatives"])}
+    assert found["channel"] == hidden["channel"]
+    assert names == {hidden["effect"], "bias_instability"}
+    assert not report.document["remaining"]["empirical"]
+
+
+def test_noise_that_comes_in_bursts_is_of_no_term_however_little_there_is_of_it(tmp_path: Path) -> None:
+    case = hidden_case(90612, 199, tmp_path)
+    assert case.truth["strange"] == "bursts"
+    report = discrepancy([case.recording], case.model)
+    assert report.verdict == "unknown"
+    assert not report.findings
+    assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {case.truth["strange_channel"]}
