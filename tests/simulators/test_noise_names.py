@@ -1,4 +1,4 @@
-"""Noise that is more than stated: its term is named where the spectrum is of one, and is unknown where it is of none."""
+"""Noise that is more than stated: named where its spectrum is of a term, unknown where it is of none."""
 
 from __future__ import annotations
 
