@@ -56,6 +56,8 @@ _STEPS_TRIED = 3  # of a channel
 _STEP_NATS, _LINE_NATS = 4.0, 3.0  # that a step or a line must promise to be tried
 _FELT = 0.5  # σ of a sample by which the reference's errors must move the input to be felt by a readout
 _NEAR_TURN_S = 0.3  # of a turn's end, where what the turn does begins or ends
+_LIKE_IT = 1.02  # times a name's evidence that a curve may have and still only mend its form
+_NEAREST_SIZE = 1.25  # times what the nearest size tried explains, that the best may: they stand in a ratio of two
 _SLACK = 6.0  # nats that refining a shape may still add to what it promises
 
 
@@ -194,7 +196,7 @@ class Searcher:
             named = sorted([*sharp, *named[_SHARPENED:]], key=lambda s: -s.score)
             best = max((best, named[0]), key=lambda s: s.score)
         certain = -math.inf if best is None else self._certain(best, named)
-        if curve is not None and curve.score > MARGIN + (certain if certain > MARGIN else 0.0):
+        if curve is not None and curve.score > MARGIN + (_LIKE_IT * certain if certain > MARGIN else 0.0):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
                 return pair
@@ -372,7 +374,8 @@ class Searcher:
         for promise, hypothesis in self._leaders(current, adopted, looks):
             least, alike = wanted[hypothesis.kind]
             slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
-            if promise + max(_SLACK, slack * promise) < least and promise < alike:
+            at_best = promise * _NEAREST_SIZE if hypothesis.unit_amplitude else promise
+            if promise + max(_SLACK, slack * promise) < least and at_best < alike:
                 continue
             if not hypothesis.is_plain and refined < _REFINED:
                 hypothesis, refined = self._refine(hypothesis, current, look), refined + 1

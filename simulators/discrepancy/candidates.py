@@ -39,7 +39,7 @@ TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
 LAG_S = (6.0, 20.0, 60.0, 180.0, 600.0)
 DELAY_SAMPLES = (0.03, 0.5, 2.0, 6.0, 20.0)
 """Sizes at which a delay, and what a false clock amounts to at the end, are taken as a chord."""
-FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 12
+FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 15
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
 EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
@@ -431,7 +431,9 @@ class Library:
             return []
         levels = 2.0 * sigma * np.unique(np.round(np.quantile(inputs, np.linspace(0.0, 1.0, 31)) / (2.0 * sigma)))
         near = (levels[:, None] + sigma * np.linspace(-4.0, 4.0, 9)).ravel()
-        tried = np.unique(np.concatenate([np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 40), near[near > 0.0]]))
+        below = levels[-1] - np.geomspace(sigma, max(levels[-1], 2.0 * sigma), 40)[:-1]  # the largest input
+        evenly = np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 40)
+        tried = np.unique(np.concatenate([evenly, near[near > 0.0], below[below > 0.0]]))
         sigmas = np.sqrt([weight @ effect.mean_change(inputs, sigma, {name: size}) ** 2 for size in tried]) / sigma
         wanted = FELT_SIGMA * FELT_RATIO ** np.arange(FELT_SIZES)
         places = {

@@ -7,6 +7,7 @@ compared in its mean alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,6 +39,8 @@ MEDIAN_OF_SQUARES = 0.4549
 """Of a standard normal variable."""
 _ROUNDS = 3
 _WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white
+_MEANS_S, _FEWEST_MEANS = 0.5, 50  # of neighbouring means
+_ORDINARY, _MEAN_ORDINARY = 0.9, 0.6574  # of their bends, and the mean size of so many of a normal distribution's
 _FAR_OFF = 2.0  # by which noise must be larger than stated to be taken for other
 _STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
@@ -140,7 +143,9 @@ class Scene:
     def noise_sigma(self) -> Array:
         """Return the 1σ of the white noise of a single sample (6,) [y]: as stated, or as found where that is far off.
 
-        It is looked for below the frequencies of rounding. What silences a part of the samples changes what is found.
+        It is looked for below the frequencies of rounding: in a band of the spectrum, which a line does not change, and
+        between neighbouring means, which a course that jumps now and then does not. What silences a part of the samples
+        changes what is found.
         """
         residual = (self.measured - self.predicted).T
         left = np.column_stack([gaps.fill(v) for gaps, v in zip(self._gaps, residual, strict=True)])
@@ -148,6 +153,7 @@ class Scene:
         hertz = np.arange(len(left)) / (2.0 * len(left) * self.seen.interval_s)
         band = (hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])
         found = np.sqrt(np.median(power[band], axis=0) / MEDIAN_OF_SQUARES)
+        found = np.minimum(found, _between_means(left, max(1, round(_MEANS_S / self.seen.interval_s))))
         if self.model.noise.free:
             return np.asarray(found)
         stated = np.array([getattr(self.model.noise, name).white for name in CHANNELS]) / np.sqrt(self.seen.interval_s)
@@ -281,6 +287,16 @@ def following_vibrations(scene: Scene) -> Scene:
         seen = replace(seen, accel_mps2=accel + shaken)
         predicted = _readings(scene.model, seen)
     return replace(scene, seen=seen, predicted=predicted, shaken=shaken)
+
+
+def _between_means(values: Array, block: int) -> Array:
+    """Return the 1σ of single values (k,) by what means of blocks (n, k) bend, the few that bend most left out."""
+    count = len(values) // block
+    if count < _FEWEST_MEANS:
+        return np.full(values.shape[1], np.inf)
+    bends = np.diff(values[: count * block].reshape(count, block, -1).mean(axis=1), 2, axis=0)
+    ordinary = np.sort(np.abs(bends), axis=0)[: math.ceil(_ORDINARY * len(bends))]
+    return np.asarray(ordinary.mean(axis=0) / _MEAN_ORDINARY * math.sqrt(block / 6.0))
 
 
 def _levelled(setup: Setup, data: Repaired) -> Setup:

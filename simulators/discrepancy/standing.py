@@ -38,7 +38,8 @@ _LEAST_NOISE = 0.05  # of a step
 _EDGE_S = 0.1  # about the ends of a turn
 _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readings at such inputs
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
-_COUNTED_IN_RUN = 3.0  # steps that a run's input comes to, which a readout of small inputs would have read
+_MISSED = 3.0  # steps of a run's input, which a readout of small inputs would have read
+_STEADY, _AS_LARGE = 0.5, 0.8  # of an input's mean, that its least is, and that others' means are
 _FEWER, _FEWER_SIGMAS = 0.8, 3.0  # of what is to be expected, and of its scatter, that is too few
 _TOO_MANY = 3.0  # times as many zeros as are to be expected
 _NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
@@ -149,9 +150,7 @@ def _standing(
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
     # A coarse readout of a small input is at zero most of the time.
-    sums = np.concatenate([[0.0], np.cumsum(said)])
-    counted = np.abs(sums[last + 1] - sums[first + 1]) / step
-    candidate &= ~at_zero | (lengths >= by_custom) | (counted > _COUNTED_IN_RUN)
+    candidate &= ~at_zero | (lengths >= by_custom) | _unlike_other_zeros(increment, said / step, first, last)
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
@@ -175,6 +174,22 @@ def _at_limit(
     readings = increment[first]
     largest = np.abs(readings) > float(np.abs(increment).max()) - 1.5 * step
     return np.asarray(largest & (np.sign(readings) * inputs > np.abs(readings) + step))
+
+
+def _unlike_other_zeros(
+    reading: Array, said: Array, first: NDArray[np.int64], last: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return which runs of zeros miss some steps of a steady input ``said`` [steps], twice what others of such miss."""
+    zero = np.flatnonzero(reading[first] == 0.0)
+    inputs = [said[first[run] + 1 : last[run] + 1] for run in zero]
+    missed = np.array([abs(float(one.sum())) for one in inputs])
+    size = missed / np.maximum(last[zero] - first[zero], 1)
+    steady = np.array([np.min(np.abs(one)) > _STEADY * mean for one, mean in zip(inputs, size, strict=True)])
+    unlike = np.zeros(first.size, dtype=np.bool_)
+    for place in np.flatnonzero(steady & (missed > _MISSED)) if zero.size else ():
+        others = (size > _AS_LARGE * size[place]) & (np.arange(zero.size) != place)
+        unlike[zero[place]] = missed[place] > 2.0 * np.max(missed[others], initial=0.0)
+    return unlike
 
 
 def _is_dead_band(first: NDArray[np.int64], last: NDArray[np.int64], reading: Array, said: Array, white: float) -> bool:
