@@ -40,7 +40,7 @@ _ORDINARY, _MOSTLY = 0.9, 0.5  # of inputs where readings are zero, and of readi
 _COUNTED = 30.0  # readings other than zero that are to be expected, to say that there are too few; or zeros too many
 _MISSED = 3.0  # steps of a run's input, which a readout of small inputs would have read
 _STEADY, _AS_LARGE = 0.5, 0.8  # of an input's mean, that its least is, and that others' means are
-_FEWER, _FEWER_SIGMAS = 0.8, 3.0  # of what is to be expected, and of its scatter, that is too few
+_FEWER, _FEWER_SIGMAS = 0.85, 3.0  # of what is to be expected, and of its scatter, that is too few
 _TOO_MANY = 3.0  # times as many zeros as are to be expected
 _NORMAL = ndtri((np.arange(9) + 0.5) / 9.0)  # of as many, each as likely
 
