@@ -43,7 +43,7 @@ FELT_SIGMA, FELT_RATIO, FELT_SIZES = 3.0, 2.0, 15
 """Sizes of readout effects to try: by how many σ of the noise they change the readings; how many more each time."""
 EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
-AWAY_C = 1.0
+AWAY_C = 0.3
 """By which a steady temperature must be off the usual reference for a coefficient to show."""
 AWAY_V = 0.05
 """... and a steady supply off the nominal one; one that moves by less is steady."""
