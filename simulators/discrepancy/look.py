@@ -79,7 +79,7 @@ class Look:
         size = np.sqrt(np.maximum(np.diag(inside), 1e-300))
         seen = np.diag(inside) > _LEFT_OVER * np.diag(own)
         along = np.where(seen, left / size, 0.0)
-        alike = inside / np.outer(size, size)
+        alike = np.clip(inside / np.outer(size, size), -1.0, 1.0)
         apart = 1.0 - alike**2
         both = along[:, None] ** 2 + along**2 - 2.0 * alike * np.outer(along, along)
         told = (apart > _APART) & np.outer(seen, seen)
