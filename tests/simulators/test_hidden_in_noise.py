@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import closed_form
 import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Change, Truth, model, recording
+from hidden_case import hidden_case
 
 from drivers.recording import Recording, RecordingMeta
 from inertial.documents import BlockModel, EffectEntry
@@ -322,3 +324,26 @@ def test_a_steady_supply_off_its_nominal_may_be_what_a_bias_comes_from() -> None
     (found,) = discrepancy([replace(case, samples=samples)], model()).findings
     assert found["effect"] == "bias_shift"
     assert ("supply_sensitivity", "accel_x") in {(one["effect"], one["channel"]) for one in found["alternatives"]}
+
+
+def test_a_limit_a_little_below_a_steady_turn_is_a_limit_and_no_curve(tmp_path: Path) -> None:
+    """One turn of eight, 2 % and 150 steps a sample beyond it: a power of the input does nearly as well."""
+    case = hidden_case(90614, 271, tmp_path)
+    (hidden,) = case.truth["effects"]
+    report = discrepancy([case.recording], case.model)
+    (found,) = report.findings
+    assert (found["effect"], found["channel"]) == ("saturation", hidden["channel"])
+    assert found["parameters"]["limit"]["value"] == pytest.approx(hidden["parameters"]["limit"], rel=1e-4)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_noise_of_a_sample_is_found_beside_what_jumps_and_beside_a_line(*, free: bool) -> None:
+    """A gyro that reads 26σ too much in each turn, and one with a line of 3σ."""
+
+    def off(true: Truth, readings: np.ndarray) -> None:
+        turning = np.abs(true["gyro"]).max(axis=1) > 1e-2
+        readings[turning, 3] += 7e-6 * 50.0
+        readings[:, 4] += 7e-6 * 6.0 * np.sin(2.0 * math.pi * 1.3 * np.arange(len(readings)) / RATE_HZ)
+
+    found = compare(recording(off, 31), model(free=free)).noise_sigma[3:]
+    assert found == pytest.approx([GYRO_SIGMA] * 3, rel=0.25)

@@ -74,6 +74,14 @@ def test_zeros_where_half_a_step_a_sample_goes_on_are_a_stuck_register_though_ot
     assert abs(found.duration_s - hidden["parameters"]["duration"]) < 3.0 * found.sigma_s
 
 
+@pytest.mark.parametrize("number", [66, 286, 421])
+def test_zeros_of_an_input_that_passes_a_dead_band_are_no_stuck_register(number: int, tmp_path: Path) -> None:
+    """Bands of a thousand steps that a turn passes in some samples, and one of less than a step."""
+    case = hidden_case(90614, number, tmp_path)
+    assert [hidden["effect"] for hidden in case.truth["effects"]] == ["dead_band"]
+    assert find_stuck(compare(case.recording, case.model))[1] == []
+
+
 @pytest.mark.parametrize(("noise_steps", "count"), [(0.15, 30), (0.2, 60), (0.3, 60)])
 def test_a_register_that_stands_still_for_no_longer_than_rounding_may_is_found_by_its_sum(
     noise_steps: float, count: int
