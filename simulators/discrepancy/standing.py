@@ -181,14 +181,15 @@ def _unlike_other_zeros(
 ) -> NDArray[np.bool_]:
     """Return which runs of zeros miss some steps of a steady input ``said`` [steps], twice what others of such miss."""
     zero = np.flatnonzero(reading[first] == 0.0)
-    inputs = [said[first[run] + 1 : last[run] + 1] for run in zero]
-    missed = np.array([abs(float(one.sum())) for one in inputs])
+    sums = np.concatenate([[0.0], np.cumsum(said)])
+    missed = np.abs(sums[last[zero] + 1] - sums[first[zero] + 1])
     size = missed / np.maximum(last[zero] - first[zero], 1)
-    steady = np.array([np.min(np.abs(one)) > _STEADY * mean for one, mean in zip(inputs, size, strict=True)])
     unlike = np.zeros(first.size, dtype=np.bool_)
-    for place in np.flatnonzero(steady & (missed > _MISSED)) if zero.size else ():
+    for place in np.flatnonzero(missed > _MISSED):
+        run = zero[place]
+        steady = np.min(np.abs(said[first[run] + 1 : last[run] + 1])) > _STEADY * size[place]
         others = (size > _AS_LARGE * size[place]) & (np.arange(zero.size) != place)
-        unlike[zero[place]] = missed[place] > 2.0 * np.max(missed[others], initial=0.0)
+        unlike[run] = steady and missed[place] > 2.0 * np.max(missed[others], initial=0.0)
     return unlike
 
 

@@ -146,9 +146,10 @@ def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array
     single blocks it is taken for as much more as there.
     """
     power = np.square(dct(quiet, norm="ortho")) / stated
-    first = max(1, round(2.0 * interval_s / _BLOCK_S * len(power)))
-    edges = np.unique(np.round(np.geomspace(first, len(power), _BANDS + 1)).astype(np.int64))
-    bands = (np.sort(power[a:b])[: math.ceil(_ORDINARY * (b - a))] for a, b in itertools.pairwise(edges))
-    level = np.array([band.mean() for band in bands]) / _MEAN_OF_ORDINARY
+    first = max(1, min(round(2.0 * interval_s / _BLOCK_S * len(power)), len(power) // 4))
+    bands = min(_BANDS, max(1, (len(power) - first) // _FEWEST))
+    edges = np.unique(np.round(np.geomspace(first, len(power), bands + 1)).astype(np.int64))
+    ordinary = (np.sort(power[a:b])[: math.ceil(_ORDINARY * (b - a))] for a, b in itertools.pairwise(edges))
+    level = np.array([squares.mean() for squares in ordinary]) / _MEAN_OF_ORDINARY
     level = median_filter(level, _AROUND, mode="nearest")  # a strong line leaks where stretches at rest are joined
     return 0.5 * (edges[1:] + edges[:-1]) / len(power), level
