@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.ndimage import median_filter
+from scipy.ndimage import label, mean, median_filter
 from scipy.stats import chi2
 
 from inertial.documents import CHANNELS
@@ -116,7 +116,10 @@ def _hidden_noise(scene: Scene, channel: int, residual: Array, still: NDArray[np
         return put_back
     still = still if still.sum() >= _FEWEST else np.ones(n, dtype=np.bool_)
     moved = scene.motion(channel)
-    level = _level(residual[still], _stated(scene, channel, moved[still]), scene.interval_s)
+    stretch, count = label(still)
+    means = np.asarray(mean(residual, stretch, np.arange(1, count + 1)))  # each attitude has its own
+    quiet = residual[still] - means[stretch[still] - 1]
+    level = _level(quiet, _stated(scene, channel, moved[still]), scene.interval_s)
     random = np.random.default_rng(n)
     for rows, axis in scene.vibrations:
         shaken = rows[: n * scene.group].reshape(n, scene.group).any(axis=1)

@@ -7,12 +7,14 @@ from dataclasses import replace
 import closed_form
 import numpy as np
 import pytest
+from scipy.fft import dct
 from scipy.stats import chi2
 
 from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence
+from simulators.discrepancy.unsteady import level_spread
 
 SEEDS = 15
 LINES_HZ = {"slow": np.linspace(0.06, 0.75, 12), "fast": np.linspace(1.1, 9.3, 12)}
@@ -40,6 +42,20 @@ def shaken(seed: int, *, free: bool) -> Scene:
     samples["dv"][rows, 2] += 5.0 / closed_form.RATE_HZ * (course - course.mean())
     stated = Recording(samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
     return compare(stated, closed_form.model(free=free))
+
+
+def after_turns(seed: int) -> Scene:
+    """Return a block that is shaken along z after turns, whose scale is 1 % off: 490 σ between attitudes."""
+
+    def off(_: closed_form.Truth, readings: np.ndarray) -> None:
+        readings[:, 2] *= 1.01
+
+    case = closed_form.recording(off, 300 + seed)
+    span = {"kind": "vibration", "start_s": 205.0, "end_s": 235.0, "grms": 0.5, "band_hz": [3.0, 9.0]}
+    meta = case.meta.model_dump(exclude_none=True)
+    meta["motion"] = [*meta["motion"], {**span, "axis": [0.0, 0.0, 1.0]}]
+    stated = Recording(case.samples, RecordingMeta.model_validate(meta), case.path, case.meta_path)
+    return compare(stated, closed_form.model())
 
 
 def with_lost(seed: int, kind: str, *, free: bool) -> Scene:
@@ -71,3 +87,18 @@ def test_lines_that_are_not_there_gain_as_much_where_half_the_noise_is_missing(
             total += 2.0 * (evidence.fit(line.columns, bare).value - bare.value)
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], 2 * SEEDS * LINES_HZ[lines].size)
     assert low < total < high
+
+
+def test_noise_put_back_under_a_vibration_is_none_of_what_attitudes_differ_by() -> None:
+    """Its power from 1 to 9 Hz is that of the noise, χ² of all coefficients."""
+    total, count = 0.0, 0
+    for seed in range(SEEDS):
+        scene = after_turns(seed)
+        residual, _ = level_spread(scene, 2)
+        rows = (scene.time_s > 205.5) & (scene.time_s < 234.5)
+        power = np.square(dct(residual[rows] / scene.noise_sigma[2], norm="ortho"))
+        hertz = np.arange(power.size) / power.size * 0.5 * closed_form.RATE_HZ
+        total += float(power[(hertz > 1.0) & (hertz < 9.0)].sum())
+        count += int(np.sum((hertz > 1.0) & (hertz < 9.0)))
+    low, high = chi2.ppf([1e-4, 1.0 - 1e-4], count)
+    assert 0.9 * low < total < 1.1 * high  # and the level is known to a tenth
