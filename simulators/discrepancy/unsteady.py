@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.ndimage import label, mean, median_filter
+from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
 from inertial.documents import CHANNELS
@@ -116,10 +116,7 @@ def _hidden_noise(scene: Scene, channel: int, residual: Array, still: NDArray[np
         return put_back
     still = still if still.sum() >= _FEWEST else np.ones(n, dtype=np.bool_)
     moved = scene.motion(channel)
-    stretch, count = label(still)
-    means = np.asarray(mean(residual, stretch, np.arange(1, count + 1)))  # each attitude has its own
-    quiet = residual[still] - means[stretch[still] - 1]
-    level = _level(quiet, _stated(scene, channel, moved[still]), scene.interval_s)
+    level = _level(_tapered(residual, still), _stated(scene, channel, moved[still]), scene.interval_s)
     random = np.random.default_rng(n)
     for rows, axis in scene.vibrations:
         shaken = rows[: n * scene.group].reshape(n, scene.group).any(axis=1)
@@ -128,6 +125,19 @@ def _hidden_noise(scene: Scene, channel: int, residual: Array, still: NDArray[np
             noise = idct(np.sqrt(power) * random.standard_normal(n), norm="ortho")[shaken]
             put_back[shaken] += abs(float(axis[channel])) * (noise - noise.mean())
     return put_back
+
+
+def _tapered(values: Array, still: NDArray[np.bool_]) -> Array:
+    """Return the values at rest, each stretch less its mean, for attitudes differ, and faded in and out.
+
+    A strong line would leak all over the spectrum from where stretches are joined.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    faded = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        window = np.sin(math.pi * (np.arange(end - first) + 0.5) / (end - first)) ** 2
+        faded.append(math.sqrt(8.0 / 3.0) * window * (values[first:end] - values[first:end].mean()))
+    return np.concatenate(faded)
 
 
 def _stated(scene: Scene, channel: int, moved: Array) -> Array:
@@ -154,5 +164,5 @@ def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array
     edges = np.unique(np.round(np.geomspace(first, len(power), bands + 1)).astype(np.int64))
     ordinary = (np.sort(power[a:b])[: math.ceil(_ORDINARY * (b - a))] for a, b in itertools.pairwise(edges))
     level = np.array([squares.mean() for squares in ordinary]) / _MEAN_OF_ORDINARY
-    level = median_filter(level, _AROUND, mode="nearest")  # a strong line leaks where stretches at rest are joined
+    level = median_filter(level, _AROUND, mode="nearest")
     return 0.5 * (edges[1:] + edges[:-1]) / len(power), level
