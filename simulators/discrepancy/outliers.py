@@ -1,7 +1,7 @@
 """Single wild samples (outliers), far beyond what even heavy-tailed noise does: taken out, and said.
 
 A step that begins with one sample and ends with the next would explain such a one, and so would half of the library.
-Where the motion changes from sample to sample, a wild one may be the reference's own error, and stays.
+Where the motion changes by as much from sample to sample, a wild one may be the reference's own error, and stays.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
@@ -38,17 +39,26 @@ def find_outliers(scene: Scene) -> tuple[Scene, list[Outlier]]:
     missing, found = scene.data.missing.copy(), []
     changing = scene.near_turn_ends(scene.time_s, _EDGE_S)
     for column, channel in enumerate(CHANNELS):
-        wild, sigmas = _wild(scene, column)
-        wild &= ~(missing[:, column] | changing | (scene.shaking() if column < 3 else False))
+        wild, off, sigma = _wild(scene, column)
+        moved = changing & (np.abs(off) <= _swing(scene, column))
+        wild &= ~(missing[:, column] | moved | (scene.shaking() if column < 3 else False))
         if not 0 < wild.sum() <= _MOST * wild.size:
             continue
         missing[wild, column] = True
-        found += [Outlier(channel, float(scene.time_s[place]), float(sigmas[place])) for place in np.flatnonzero(wild)]
+        places = np.flatnonzero(wild)
+        found += [Outlier(channel, float(scene.time_s[place]), float(off[place] / sigma)) for place in places]
     return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
 
 
-def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array]:
-    """Return which samples (n,) stand alone, and how far off each is [σ]."""
+def _swing(scene: Scene, column: int) -> Array:
+    """Return how far the input goes about each sample (n,) [y], as far as the ends of a turn may be off."""
+    size = 2 * round(_EDGE_S / scene.seen.interval_s) + 1
+    inputs = scene.predicted[:, column]
+    return np.asarray(maximum_filter1d(inputs, size) - minimum_filter1d(inputs, size))
+
+
+def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array, float]:
+    """Return which samples (n,) stand alone, how far off each is [y], and the 1σ of the noise."""
     off = scene.measured[:, column] - scene.predicted[:, column]
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(off, 2, mode="edge"), 5)
     off = off - np.median(beside, axis=1)
@@ -58,5 +68,5 @@ def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array]:
     size = np.abs(off) - _STEPS * noise.quantisation / scene.seen.interval_s
     around = np.maximum(np.roll(size, 1), np.roll(size, -1))
     if not 0.0 < sigma < math.inf:
-        return np.zeros(off.size, dtype=np.bool_), off
-    return (size > _WILD * sigma) & (around < _TAME * sigma), off / sigma
+        return np.zeros(off.size, dtype=np.bool_), off, sigma
+    return (size > _WILD * sigma) & (around < _TAME * sigma), off, sigma

@@ -190,7 +190,10 @@ def _report(
     findings += [_read_off_finding(one, scenes) for one in read_off]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     no_noise = {term["channel"] for term in unexplained.unsteady} | silenced  # a dead band that comes and goes is noise
-    findings += [_noise_finding(n, search) for n in noise.found if n.channel not in no_noise]
+    # An error in the form of a large name is noise to what is left of it.
+    off = {m["channel"]: m["evidence_nats"] for m in sorted(unexplained.misfits, key=lambda m: m["evidence_nats"])}
+    more = [n for n in noise.found if n.channel not in no_noise and n.score > off.get(n.channel, 0.0)]
+    findings += [_noise_finding(n, search) for n in more]
     verdict = "none"
     if unexplained.terms:
         verdict = "unknown"

@@ -85,7 +85,7 @@ def judge(
         largest = max(lines, key=lambda a: a.gain, default=None)
         if largest is not None and largest.gain > _DOMINANT * sum(a.gain for a in lines):
             for small in lines:  # what swells and wanes has lines beside its own
-                if small is not largest:
+                if small is not largest and small not in withdrawn:
                     withdrawn.append(small)
                     misfits.append({**_described(small, search), "of": "sinusoid"})
             continue
