@@ -24,7 +24,6 @@ from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, 
 from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.look import Look
-from simulators.discrepancy.noise_names import value_of_named
 from simulators.discrepancy.rounding_errors import largest_lines
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
@@ -148,7 +147,6 @@ class Searcher:
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self.fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted, _AT_LAST)
-        adopted, current = self._beyond_noise(adopted, current)
         return Search(self.evidence, self._beside_others(adopted, current), current, bare)
 
     def _beside_others(self, adopted: Sequence[Hypothesis], current: Fit) -> list[Adopted]:
@@ -606,22 +604,6 @@ class Searcher:
             if bayes_factor(current.value - without.value, h.freedom, self.places(h)) < share * MARGIN:
                 return self._settle(rest, without, [other for other in judged if other is not h], share)
         return adopted, current
-
-    def _beyond_noise(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
-        """Drop names that larger noise with a name does without: of that the search has known the colours only."""
-        for h in adopted:
-            rest = [other for other in adopted if other is not h]
-            without = self.fit_of(rest, current)
-            slots = self.evidence.touched(h.columns)
-            gain = self._in_named_noise(current, slots) - self._in_named_noise(without, slots)
-            if h.kind is Kind.NAMED and bayes_factor(gain, h.freedom, self.places(h)) < _AT_LAST * MARGIN:
-                return self._beyond_noise(rest, without)
-        return adopted, current
-
-    def _in_named_noise(self, fit: Fit, slots: Collection[Slot]) -> float:
-        """Return the log-likelihood [nats] of a fit in noise with a name, in the slots where that is the better."""
-        more = (value_of_named(self.evidence, fit, slot) - self.evidence.slot_value(slot, fit) for slot in slots)
-        return fit.value + sum(max(gain, 0.0) for gain in more)
 
     def polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
         """Refine the shapes once more, each beside all others and in the noise that is left with all of them."""
