@@ -30,3 +30,13 @@ def test_noise_that_comes_in_bursts_is_of_no_term_however_little_there_is_of_it(
     assert report.verdict == "unknown"
     assert not report.findings
     assert {term["channel"] for term in report.document["remaining"]["empirical"]} == {case.truth["strange_channel"]}
+
+
+def test_an_error_in_the_form_of_a_large_name_is_no_larger_noise(tmp_path: Path) -> None:
+    """A line of 200 σ whose size and frequency move a little: what that leaves over is its misfit, said once."""
+    case = hidden_case(90615, 360, tmp_path)
+    report = discrepancy([case.recording], case.model)
+    assert [(found["effect"], found["channel"]) for found in report.findings] == [("sinusoid", "gyro_z")]
+    misfits = [(one["term"], one["amplitude"]) for one in report.document["remaining"]["misfits"]]
+    assert misfits
+    assert len(misfits) == len(set(misfits))

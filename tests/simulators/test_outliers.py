@@ -56,3 +56,14 @@ def test_a_glitch_where_a_turn_begins_is_no_lever_arm(sigmas: float) -> None:
     report = discrepancy([replace(case, samples=samples)], model())
     assert report.findings == [], report.document["text"]
     assert "single sample" in report.document["rejected"][0]["reason"]
+
+
+def test_a_wild_sample_where_another_sensor_turns_is_taken_out() -> None:
+    """The gyros across the turn feel nothing of its end."""
+    case = recording(None, 104)
+    samples = case.samples.copy()
+    _, end_s, _, axis = TURNS[0]
+    place, across = round(end_s * RATE_HZ) - 2, (axis + 2) % 3
+    samples["dtheta"][place, across] -= 40.0 * SIGMA
+    (found,) = find_outliers(compare(replace(case, samples=samples), model()))[1]
+    assert (found.channel, round(found.time_s * RATE_HZ)) == (f"gyro_{'xyz'[across]}", place + 1)
