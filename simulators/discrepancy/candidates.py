@@ -431,7 +431,7 @@ class Library:
             return []
         levels = 2.0 * sigma * np.unique(np.round(np.quantile(inputs, np.linspace(0.0, 1.0, 31)) / (2.0 * sigma)))
         near = (levels[:, None] + sigma * np.linspace(-4.0, 4.0, 9)).ravel()
-        below = levels[-1] - np.geomspace(sigma, max(levels[-1], 2.0 * sigma), 40)[:-1]  # the largest input
+        below = levels[-1] - np.geomspace(sigma, max(levels[-1], 2.0 * sigma), 40)[:-1]  # limits short of the largest
         evenly = np.geomspace(0.1 * sigma, levels[-1] + 4.0 * sigma, 40)
         tried = np.unique(np.concatenate([evenly, near[near > 0.0], below[below > 0.0]]))
         sigmas = np.sqrt([weight @ effect.mean_change(inputs, sigma, {name: size}) ** 2 for size in tried]) / sigma

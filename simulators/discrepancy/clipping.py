@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.read_off import ReadOff
+from simulators.discrepancy.runs import runs
 from simulators.discrepancy.standing import longest_by_rounding
 from simulators.discrepancy.whitening import FREE_SHARE
 
@@ -86,8 +87,7 @@ def _clipped(
 
 def _lost_its_noise(scene: Scene, column: int, rows: NDArray[np.bool_]) -> bool:
     """Whether the sum over the longest run of rows keeps to a line within rounding, as noise never would."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8)))
-    first, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: int(run[1] - run[0]))
+    first, end = max(zip(*runs(rows), strict=True), key=lambda run: int(run[1] - run[0]))
     readings = scene.measured[first:end, column]
     noise, interval_s = getattr(scene.model.noise, CHANNELS[column]), scene.seen.interval_s
     white = noise.white * math.sqrt(interval_s) * (FREE_SHARE if scene.model.noise.free else 1.0)

@@ -22,6 +22,7 @@ from drivers.recording import Recording, RecordingError, read_recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
 from simulators.discrepancy.repair import Gaps, Repaired, repair
+from simulators.discrepancy.second_differences import MEAN_SIZE, ordinary_mean, second_differences
 from simulators.discrepancy.shaking import spans_as_shaken
 from simulators.discrepancy.whitening import FREE_SHARE, freely_rounded_hz
 from simulators.effects import get_effect
@@ -35,12 +36,10 @@ MOST_READ = 1_000_000
 """Samples of a recording that are kept at all; of a longer one neighbours are summed as they are read."""
 MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
-MEDIAN_OF_SQUARES = 0.4549
-"""Of a standard normal variable."""
+_MEDIAN_OF_SQUARES = 0.4549  # of a standard normal variable
 _ROUNDS = 3
 _WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white
 _MEANS_S, _FEWEST_MEANS = 0.5, 50  # of neighbouring means
-_ORDINARY, _MEAN_ORDINARY = 0.9, 0.6574  # of their bends, and the mean size of so many of a normal distribution's
 _FAR_OFF = 2.0  # by which noise must be larger than stated to be taken for other
 _STRETCHES = 128  # over which the difference to the prediction is taken to be constant
 _THERMOMETER_S = 5.0  # over which a thermometer's own noise is averaged out
@@ -152,7 +151,7 @@ class Scene:
         power = np.square(dct(left, axis=0, norm="ortho"))
         hertz = np.arange(len(left)) / (2.0 * len(left) * self.seen.interval_s)
         band = (hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])
-        found = np.sqrt(np.median(power[band], axis=0) / MEDIAN_OF_SQUARES)
+        found = np.sqrt(np.median(power[band], axis=0) / _MEDIAN_OF_SQUARES)
         found = np.minimum(found, _between_means(left, max(1, round(_MEANS_S / self.seen.interval_s))))
         if self.model.noise.free:
             return np.asarray(found)
@@ -290,13 +289,11 @@ def following_vibrations(scene: Scene) -> Scene:
 
 
 def _between_means(values: Array, block: int) -> Array:
-    """Return the 1σ of single values (k,) by what means of blocks (n, k) bend, the few that bend most left out."""
-    count = len(values) // block
-    if count < _FEWEST_MEANS:
+    """Return the 1σ of single values (k,) by the means of blocks of them (n, k); infinite where these are too few."""
+    if len(values) // block < _FEWEST_MEANS:
         return np.full(values.shape[1], np.inf)
-    bends = np.diff(values[: count * block].reshape(count, block, -1).mean(axis=1), 2, axis=0)
-    ordinary = np.sort(np.abs(bends), axis=0)[: math.ceil(_ORDINARY * len(bends))]
-    return np.asarray(ordinary.mean(axis=0) / _MEAN_ORDINARY * math.sqrt(block / 6.0))
+    size = ordinary_mean(np.abs(second_differences(values, block)))
+    return np.asarray(size / MEAN_SIZE * math.sqrt(block / 6.0))
 
 
 def _levelled(setup: Setup, data: Repaired) -> Setup:

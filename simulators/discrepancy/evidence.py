@@ -247,6 +247,7 @@ class Evidence:
         return power if stated is None else np.minimum(power, stated)
 
     def _squares(self, slot: Slot, part: Array) -> Array:
+        """Return the sums of squares (bins,) of coefficients (n,)."""
         return np.asarray(np.add.reduceat(part**2, self.basis[slot].bounds[:-1]))
 
     def normal(self, ids: Sequence[int], power: Mapping[Slot, Array]) -> tuple[Array, Array]:
@@ -411,16 +412,15 @@ class Evidence:
 
     def noise_value(self, slot: Slot, noise: NoiseFit, left: Array) -> float:
         """Return the log-likelihood [nats] of coefficients (n,) left in a slot, less the penalty of its noise."""
-        return self._value(slot, np.add.reduceat(left**2, self.basis[slot].bounds[:-1]), noise)
+        return self._value(slot, self._squares(slot, left), noise)
 
     def slot_value(self, slot: Slot, fit: Fit) -> float:
         """Return the log-likelihood [nats] of one slot, less the penalty of its noise."""
         return self._value(slot, fit.rss[slot], fit.noise[slot])
 
     def _value(self, slot: Slot, rss: Array, noise: NoiseFit) -> float:
-        penalty = noise.penalty
         each = self.basis[slot].counts * np.log(noise.power) + rss / noise.power
-        return float(-0.5 * self.came[slot] @ each) - penalty
+        return float(-0.5 * self.came[slot] @ each) - noise.penalty
 
 
 def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:

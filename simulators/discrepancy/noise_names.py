@@ -28,8 +28,9 @@ TERMS = {
 }
 """Effect, its parameter, and unit noise of its kind."""
 MARGIN = 7.0
+"""Bayes factor [nats] that a term must have."""
 CERTAIN = 3.5
-"""... of slow noise that is certain, as the spectrum is of no colour otherwise: few coefficients tell which it is."""
+"""... one of slow noise that is certain, as no colour explains it otherwise: few coefficients tell which it is."""
 OTHER_COLOUR = 12.0
 """What the wide family must gain over the named terms [nats] for the noise to be of another colour."""
 SEEN = 50.0

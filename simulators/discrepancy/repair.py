@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.samples import SampleArray, intervals_s
+from simulators.discrepancy.runs import runs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -81,8 +82,7 @@ class Gaps:
     @classmethod
     def of(cls, missing: Mask) -> Gaps:
         """Look at a mask (n,)."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-        first, end = edges[::2], edges[1::2]
+        first, end = runs(missing)
         reach = end - first
         spans = np.column_stack(
             [np.maximum(first - reach, 0), first, end, np.minimum(end + reach, len(missing))]

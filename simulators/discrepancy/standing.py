@@ -16,6 +16,7 @@ from scipy.special import ndtri
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.runs import runs
 from simulators.discrepancy.whitening import FREE_SHARE
 
 Array = NDArray[np.float64]
@@ -127,8 +128,7 @@ def _standing(
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    first, last = edges[::2], edges[1::2]
+    first, last = runs(same)
     lengths = last - first
     step = _step(increment)
     quiet = off[shaken == 0.0]  # where it is shaken it is never off: the course is the reading's own

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.ndimage import median_filter
-from scipy.stats import chi2
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.runs import runs
+from simulators.discrepancy.second_differences import MEAN_SQUARE, ordinary_mean, second_differences
 from simulators.discrepancy.whitening import cosine_basis
 
 Array = NDArray[np.float64]
@@ -28,8 +29,6 @@ _SIGNIFICANT = 1.35
 _SIGMA = 0.9  # of ln of a mean size of second differences, times the root of their number
 _CERTAIN = 4.0  # σ by which noise must be larger
 _FEWEST = 24
-_ORDINARY = 0.9  # of the second differences, or of squares
-_MEAN_OF_ORDINARY = float(chi2.cdf(chi2.ppf(_ORDINARY, 1), 3)) / _ORDINARY  # of a standard normal variable's squares
 _BANDS, _AROUND = 20, 3  # of the spectrum of noise, and how many a level is the median of
 _FEWEST_EACH = 3  # block means for each input that may act on them
 _SEEN = 1e-6  # of the largest input's bend
@@ -84,28 +83,20 @@ def _inputs(scene: Scene, channel: int) -> Array:
 
 
 def _noise(values: Array, rows: NDArray[np.bool_], block: int, inputs: Array | None = None) -> float | None:
-    """Return the noise of block means: the mean size of their second differences but the largest, which are systematic.
+    """Return the noise of block means: the ordinary size of their second differences.
 
-    What ``inputs`` (n, k) that change within a few blocks explain of them is no noise. No median: of readings in coarse
-    steps it is zero as soon as half of the differences are.
+    What ``inputs`` (n, k) that change within a few blocks explain of them is no noise.
     """
     if rows.sum() < _FEWEST * block:
         return None
-    bends = _bends(values[rows], block)
+    bends = second_differences(values[rows], block)
     freedom = 1.0
     if block > 1 and inputs is not None:
-        known = _bends(inputs[rows], block)[:, : max(1, len(bends) // _FEWEST_EACH)]
+        known = second_differences(inputs[rows], block)[:, : max(1, len(bends) // _FEWEST_EACH)]
         size, _, rank, _ = np.linalg.lstsq(known, bends, rcond=_SEEN)
         bends = bends - known @ size
         freedom = 1.0 - int(rank) / len(bends)
-    sizes = np.sort(np.abs(bends))
-    return float(sizes[: math.ceil(_ORDINARY * sizes.size)].mean()) / math.sqrt(freedom)
-
-
-def _bends(values: Array, block: int) -> Array:
-    """Return the second differences of block means (m, …)."""
-    count = len(values) // block
-    return np.asarray(np.diff(values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1), 2, axis=0))
+    return float(ordinary_mean(np.abs(bends))) / math.sqrt(freedom)
 
 
 def _hidden_noise(scene: Scene, channel: int, residual: Array, still: NDArray[np.bool_]) -> Array:
@@ -132,9 +123,8 @@ def _tapered(values: Array, still: NDArray[np.bool_]) -> Array:
 
     A strong line would leak all over the spectrum from where stretches are joined.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     faded = []
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in zip(*runs(still), strict=True):
         window = np.sin(math.pi * (np.arange(end - first) + 0.5) / (end - first)) ** 2
         faded.append(math.sqrt(8.0 / 3.0) * window * (values[first:end] - values[first:end].mean()))
     return np.concatenate(faded)
@@ -162,7 +152,6 @@ def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array
     first = max(1, min(round(2.0 * interval_s / _BLOCK_S * len(power)), len(power) // 4))
     bands = min(_BANDS, max(1, (len(power) - first) // _FEWEST))
     edges = np.unique(np.round(np.geomspace(first, len(power), bands + 1)).astype(np.int64))
-    ordinary = (np.sort(power[a:b])[: math.ceil(_ORDINARY * (b - a))] for a, b in itertools.pairwise(edges))
-    level = np.array([squares.mean() for squares in ordinary]) / _MEAN_OF_ORDINARY
+    level = np.array([ordinary_mean(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEAN_SQUARE
     level = median_filter(level, _AROUND, mode="nearest")
     return 0.5 * (edges[1:] + edges[:-1]) / len(power), level
