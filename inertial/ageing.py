@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import ndtri
 
 from inertial.ageing_filter import log_likelihood
 from inertial.ageing_law import DriftLaw
@@ -43,10 +44,16 @@ DRAWS, APART, BURN_IN, SHARED_MOVES = 64, 24, 300, 4
 what the axes share in a sweep, for that hangs together most."""
 JUMP_SCALE = 2.38
 """Of a proposal, over the root of its dimensions: the best for a Gaussian (Gelman, Roberts & Gilks 1996)."""
-SHARED_MEAN = np.array([0.4, 0.4, 0.0, math.log(3.5), math.log(1000.0)])
+SHARED_MEAN = np.array([0.4, 0.4, 0.0, math.log(3.5), math.log(60.0)])
 SHARED_SIGMA = np.array([1.0, 0.7, 0.1, 1.5, 1.5])
 """Prior of what the axes share: the law's decline, bend, onset and ln τ [months], to which power (bend 0) and
-exponential (1) are alike; and ln relaxation [months], most of which is a free walk to a few years of checks."""
+exponential (1) are alike; and ln relaxation [months], of which two years of checks say next to nothing: 90 % of it lies
+between five months, hardly a walk, and sixty years, a free one."""
+STRAY_MEAN, STRAY_SIGMA = -0.15, 0.3
+"""Power of time by which the rate goes off the fitted law beyond the ages that were checked: what drifts in storage
+settles rather than not. Chosen so that 90 % intervals of fleets by nine laws hold 90 % of the truth: docs/ageing.md."""
+KNOWN_TO = 0.9
+"""Quantile of the blocks' ages up to which their law is taken to be known."""
 BEND, SHARED = 1, len(SHARED_MEAN)
 BENDS = np.array([[0.2, SHARED_MEAN[BEND], SHARED_SIGMA[BEND]], [0.45, 0.0, 0.15], [0.35, 1.0, 0.2]])
 """Prior of the bend: share, mean, σ of its parts. A fifth is what the bend may be at all; the rest lies about the
@@ -97,6 +104,12 @@ class TermHistories:
     def jump(self) -> Array:
         """Return the variance of a step before each check: so large that it says nothing, or 0."""
         return np.where(self.stepped, (JUMP * self.unit) ** 2, 0.0)
+
+    @property
+    def known_months(self) -> float:
+        """Return the age up to which the law of these blocks is known: one that some of them are beyond."""
+        ages = self.months[self.offsets[1:] - 1]
+        return float(np.quantile(ages, KNOWN_TO, method="inverted_cdf"))
 
     @property
     def blocks(self) -> int:
@@ -306,10 +319,20 @@ def fit_population(terms: Sequence[TermHistories], near: Sequence[Sizes] | None 
     """
     posterior = _Kind(terms)
     peak = _peak(posterior, near)
-    draws = [posterior.sizes(draw) for draw in _drawn(posterior, peak, np.random.default_rng(SEED))]
-    return [
-        PopulationFit(best, tuple(draw[number] for draw in draws)) for number, best in enumerate(posterior.sizes(peak))
-    ]
+    draws = _stray([posterior.sizes(draw) for draw in _drawn(posterior, peak, np.random.default_rng(SEED))])
+    best = [_straying(one, STRAY_MEAN) for one in posterior.sizes(peak)]
+    return [PopulationFit(one, tuple(draw[number] for draw in draws)) for number, one in enumerate(best)]
+
+
+def _stray(draws: Sequence[Sequence[Sizes]]) -> list[list[Sizes]]:
+    """Return draws whose laws stray, each as likely by as much; the same for all axes of a draw."""
+    quantiles = ndtri((np.arange(len(draws)) + 0.5) / len(draws))
+    strays = STRAY_MEAN + STRAY_SIGMA * np.random.default_rng([SEED, 1]).permutation(quantiles)
+    return [[_straying(one, float(stray)) for one in draw] for draw, stray in zip(draws, strays, strict=True)]
+
+
+def _straying(sizes: Sizes, stray: float) -> Sizes:
+    return replace(sizes, law=replace(sizes.law, stray=stray))
 
 
 def _peak(posterior: _Kind, near: Sequence[Sizes] | None) -> Array:

@@ -1,9 +1,10 @@
 """When will a block leave its limit: paths of the drift model beyond its last check, drawn from the posterior.
 
 For each draw of the population (:func:`inertial.ageing.fit_population`) the block's own offset, rate and walk are drawn
-given its checks, and the walk goes on. A path leaves when it is outside ±limit at a node, or between two nodes with the
-probability that a Brownian bridge from one to the other touches the limit, exp(−2·d₁·d₂/(walk²·Δt)): what pulls the
-walk back changes that by the square of Δt/relaxation only.
+given its checks, the walk goes on, and so does the law, off by what it may stray where no block was checked. A path
+leaves when it is outside ±limit at a node, or between two nodes with the probability that a Brownian bridge from one to
+the other touches the limit, exp(−2·d₁·d₂/(walk²·Δt)): what pulls the walk back changes that by the square of
+Δt/relaxation only.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def leaving_months(histories: TermHistories, fit: PopulationFit, limit: float, s
     states, roots, months = _last_states(histories, fit)
     left = np.full((histories.blocks, len(fit.draws), PATHS), np.inf)
     for number, draw in enumerate(fit.draws):
-        growth = draw.law.growth(months[:, None] + NODES_MONTHS)
+        growth = draw.law.growth_beyond(months[:, None] + NODES_MONTHS, histories.known_months)
         walk = draw.walk, 1.0 / draw.relaxation_months
         _walk(states[number], roots[number], growth, NODES_MONTHS, walk, limit, rng, left[:, number])
     return left.reshape(histories.blocks, -1)
@@ -75,7 +76,8 @@ def bands(histories: TermHistories, fit: PopulationFit) -> tuple[Array, Array, A
     means, variances = np.empty((2, len(fit.draws), *ahead.shape))
     for number, draw in enumerate(fit.draws):
         kept, came = np.array([pulled(elapsed, 1.0 / draw.relaxation_months) for elapsed in later]).T
-        row = np.stack(np.broadcast_arrays(1.0, draw.law.growth(ahead), kept), axis=-1)
+        growth = draw.law.growth_beyond(ahead, histories.known_months)
+        row = np.stack(np.broadcast_arrays(1.0, growth, kept), axis=-1)
         means[number] = np.einsum("bmk,bk->bm", row, states[number])
         seen = np.einsum("bmk,bkj->bmj", row, roots[number])
         variances[number] = np.sum(seen**2, axis=-1) + draw.walk**2 * came

@@ -21,6 +21,9 @@ large leaves over, and elsewhere is 0. Above ``bend`` = 1 a drift ends sooner th
 
 A power of time in the rate's logarithm is the stretched exponential (Kohlrausch) by which glassy and polymer parts
 relax; as bend → 0 it is the power law of the rate.
+
+No law is known to hold where nothing was checked. Beyond the ages that were, the rate goes off the law by a power of
+time, ``stray``, in proportion to how many times older a block is (:meth:`DriftLaw.growth_beyond`).
 """
 
 from __future__ import annotations
@@ -40,18 +43,31 @@ YEAR_MONTHS = 12.0
 
 @dataclass(frozen=True)
 class DriftLaw:
-    """A law: ``decline`` a year, ``bend``, ``onset``, and τ [months], ``law_months``."""
+    """A law: ``decline`` a year, ``bend``, ``onset``, τ [months], ``law_months``, and its ``stray``."""
 
     decline: float
     bend: float
     onset: float
     law_months: float
+    stray: float = 0.0
 
     def growth(self, months: Array) -> Array:
         """Return h at ages [months] of at least 0: 1 after a year."""
         ages = np.asarray(months, dtype=np.float64)
         later = _growth(ages.ravel(), self.decline, self.bend, self.law_months).reshape(ages.shape)
         return np.asarray(self.onset + (1.0 - self.onset) * later)
+
+    def growth_beyond(self, months: Array, known_months: float) -> Array:
+        """Return h at ages [months] (…, n), increasing, that goes off the law beyond ``known_months``.
+
+        From the first of each row on, where it is the law's: h' is (age/known_months)^stray times as large.
+        """
+        ages = np.asarray(months, dtype=np.float64)
+        lawful = self.growth(ages)
+        middle = 0.5 * (ages[..., 1:] + ages[..., :-1])
+        steps = np.diff(lawful, axis=-1) * np.maximum(middle / known_months, 1.0) ** self.stray
+        first = lawful[..., :1]
+        return np.concatenate([first, first + np.cumsum(steps, axis=-1)], axis=-1)
 
 
 PANELS = 128

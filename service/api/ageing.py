@@ -86,6 +86,7 @@ class Population(BaseModel):
     bend: float
     onset: float
     law_months: float
+    stray: float
     mean: float
     spread: float
     offset: float

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from inertial.ageing import fit_population
+from inertial.ageing import TermHistories, fit_population
 from inertial.ageing_forecast import HORIZON_MONTHS, leaving, leaving_months
 from inertial.ageing_law import DriftLaw
 from simulators.fleet import TermLaw, simulate_term
@@ -41,6 +41,39 @@ def test_the_law_is_smooth_through_its_limits_and_never_overflows() -> None:
 
 def test_what_comes_at_once_is_there_from_the_start() -> None:
     np.testing.assert_allclose(DriftLaw(0.4, 0.5, 0.2, 3.0).growth(np.array([0.0, 12.0])), [0.2, 1.0], rtol=1e-6)
+
+
+def test_a_law_that_strays_is_another_power_of_time_beyond_what_is_known() -> None:
+    """Of a pure power, tᵖ, it makes t^(p + stray) from there on: in closed form, joined without a step."""
+    known, stray = 24.0, -0.2
+    root = DriftLaw(0.5, 0.0, 0.0, 1e-6, stray)
+    ages = np.arange(6.0, 200.0, 0.5)
+    slope = 0.5 / 12.0**0.5  # of h = √(t/12), times √t
+    beyond = slope * known**-stray / (0.5 + stray) * (ages ** (0.5 + stray) - known ** (0.5 + stray))
+    expected = np.where(ages <= known, np.sqrt(ages / 12.0), np.sqrt(known / 12.0) + beyond)
+    np.testing.assert_allclose(root.growth_beyond(ages, known), expected, rtol=3e-4)  # τ is not quite 0
+    np.testing.assert_array_equal(root.growth(ages), DriftLaw(0.5, 0.0, 0.0, 1e-6).growth(ages))
+    late = ages[ages > 60.0]  # a block that is older than most goes on from the law where it stands
+    from_there = root.growth_beyond(late, known)
+    assert from_there[0] == root.growth(late)[0]
+    np.testing.assert_allclose(np.diff(from_there), np.diff(root.growth_beyond(ages, known)[ages > 60.0]), rtol=1e-9)
+
+
+def test_the_draws_of_a_fit_stray_as_they_are_said_to_and_alike_on_all_axes() -> None:
+    from inertial.ageing import STRAY_MEAN, STRAY_SIGMA
+
+    rng = np.random.default_rng(13)
+    axes = [simulate_term(TermLaw(), 5, np.arange(1.0, 9.0), 8.0, rng).histories for _ in range(2)]
+    one, other = fit_population(axes)
+    strays = np.array([draw.law.stray for draw in one.draws])
+    assert strays.tolist() == [draw.law.stray for draw in other.draws]
+    assert np.mean(strays) == pytest.approx(STRAY_MEAN, abs=1e-9)
+    assert np.std(strays) == pytest.approx(STRAY_SIGMA, rel=0.03)
+
+
+def test_a_law_is_known_to_the_age_that_some_blocks_are_beyond() -> None:
+    blocks = [(np.arange(1.0, last + 1.0), np.zeros(last), np.ones(last)) for last in (*[12] * 8, 36, 60)]
+    assert TermHistories.of(blocks).known_months == 36.0
 
 
 def test_exponential_saturation_is_covered_within_the_binomial_band() -> None:
