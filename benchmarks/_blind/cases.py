@@ -212,10 +212,12 @@ class _Draft:
     def _metric(self) -> oracle.Metric:
         extra = None if self.sway is None else self._sway_density
         metric = oracle.Metric(self.world, self.spectra, extra)
-        priors = [(channel, sigma) for channel, _, sigma, _ in self.known]
-        rides = self.plan.level_frame == "body"
-        metric.set_nuisance(oracle.nuisance(self.world, self.plan.sigma, rides, priors))
+        metric.set_nuisance(self._nuisance())
         return metric
+
+    def _nuisance(self, *late: tuple[float, float]) -> list[np.ndarray]:
+        priors = [(channel, sigma) for channel, _, sigma, _ in self.known]
+        return oracle.nuisance(self.world, self.plan.sigma, self.plan.level_frame == "body", priors, *late)
 
     def case(self) -> Case:
         noise = self._noise()
@@ -330,10 +332,8 @@ class _Draft:
         if name in (*hidden.NOISE, "quantisation"):
             channel = index(effect.channel)
             return lambda e: metric.noise_size(channel, _noisier(self.spectra[channel], e))
-        if name == "latency":
-            return lambda e: metric.size(hidden.delayed(e, world) - world.inputs)
-        if name == "clock_scale":
-            return lambda e: metric.size(self._clock_shift(e.parameters["error"]))
+        if name in ("latency", "clock_scale"):
+            return self._timed_size
         if name in hidden.SETUP:
             return lambda e: metric.size(world.inputs_of(world.moved(**hidden.setup_of(e, world))) - world.inputs)
         if name in ("axis_swap", "sign_flip", "unit_error"):
@@ -350,7 +350,20 @@ class _Draft:
             usual = sent(reading)
             return lambda e: metric.size(hidden.stuck_shift(e, world, usual, noiseless))
         sigma = self.spectra[channel].white / math.sqrt(world.dt)
+        if self.sway is not None:  # which nobody knows sample by sample either
+            sigma = math.hypot(sigma, float(np.std(self._sway(self.rng.spawn(1)[0])[:, channel])))
         return lambda e: metric.size(hidden.mean_read_out(e, world, noiseless, sigma))
+
+    def _timed_size(self, effect: Effect) -> float:
+        """Size of a delay or of a clock's error, beside turns that may have been late by as much."""
+        if effect.name == "latency":
+            delay = effect.parameters["delay"]
+            self.metric.set_nuisance(self._nuisance((delay, 0.0)))
+            return self.metric.size(hidden.delayed(effect, self.world) - self.world.inputs)
+        error = effect.parameters["error"]
+        # The wrong clock's samples begin where they do; those of a table that was late would begin so much before.
+        self.metric.set_nuisance(self._nuisance((0.0, -error)))
+        return self.metric.size(self._clock_shift(error))
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = replace(self.world, setup=replace(self.world.setup, shakes=()))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.linalg import solve_triangular
 
-from benchmarks._blind.motion import STANDARD_GRAVITY_MPS2, Shake
+from benchmarks._blind.motion import STANDARD_GRAVITY_MPS2, Setup, Shake
 from benchmarks._blind.noise import Spectrum
 from benchmarks._blind.world import World
 
@@ -107,25 +107,45 @@ def _shaken(shake: Shake, world: World, count: int, per_bin: int) -> np.ndarray:
     return np.diff(np.diff(covariance, axis=0), axis=1) / (world.dt * per_bin) ** 2
 
 
-def nuisance(world: World, sigma: dict[str, float], rides: bool, priors: list[tuple[int, float]]) -> list[np.ndarray]:
-    """Shifts of one σ: azimuth, level, angle and timing of every turn, timing of all, biases of the model."""
-    setup, base = world.setup, world.inputs
+def nuisance(
+    world: World,
+    sigma: dict[str, float],
+    rides: bool,
+    priors: list[tuple[int, float]],
+    late: tuple[float, float] = (TIMING_SIGMA_S, 0.0),
+) -> list[np.ndarray]:
+    """Shifts of one σ: azimuth, level, angle and timing of every turn, timing of all, biases of the model.
+
+    Those of timing are chords to ``late`` (so much [s], and so much more a second): what is late by as much as an
+    effect makes it is all that the effect is, whatever a sample's edge between makes of it.
+    """
+    setup = world.setup
+
+    def late_s(time_s: float) -> float:
+        return late[0] + late[1] * time_s
+
     others = [replace(setup, azimuth=setup.azimuth + sigma["azimuth"])]
     for axis in range(2):
         which = "block_tilt" if rides else "room_tilt"
         tilt = list(getattr(setup, which))
         tilt[axis] += sigma["level"]
         others.append(replace(setup, **{which: tuple(tilt)}))
+    timed: list[tuple[float, Setup]] = []
     for number, turn in enumerate(setup.turns):
         if turn.angle_sigma_rad:
             others.append(setup.with_turn(number, angle_error_rad=turn.angle_error_rad + turn.angle_sigma_rad))
-        others.append(setup.with_turn(number, start_shift_s=turn.start_shift_s + TIMING_SIGMA_S))
-        others.append(setup.with_turn(number, end_shift_s=turn.end_shift_s + TIMING_SIGMA_S))
+        start_s, end_s = late_s(turn.start_s), late_s(turn.end_s)
+        timed.append((start_s, setup.with_turn(number, start_shift_s=turn.start_shift_s + start_s)))
+        timed.append((end_s, setup.with_turn(number, end_shift_s=turn.end_shift_s + end_s)))
     if setup.turns:
-        others.append(replace(setup, offset_s=setup.offset_s + TIMING_SIGMA_S))
+        all_s = late_s(0.5 * (setup.turns[0].start_s + setup.turns[-1].end_s))
+        timed.append((all_s, replace(setup, offset_s=setup.offset_s + all_s)))
     still = world if not setup.shakes else replace(world, setup=replace(setup, shakes=()))
     base = still.inputs
     columns = [still.inputs_of(replace(other, shakes=())) - base for other in others]
+    columns += [
+        (still.inputs_of(replace(other, shakes=())) - base) * (TIMING_SIGMA_S / shift_s) for shift_s, other in timed
+    ]
     for channel, one in priors:
         column = np.zeros_like(base)
         column[:, channel] = one

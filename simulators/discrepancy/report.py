@@ -33,6 +33,7 @@ from simulators.discrepancy.read_off import ReadOff, combined
 from simulators.discrepancy.rivals import find_rivals
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck
+from simulators.discrepancy.time_tags import TimeTags, find_time_tags
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
 from simulators.discrepancy.wiring import Mistake, find_mistakes, mend
@@ -96,6 +97,12 @@ def discrepancy(
     raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
     mistakes = find_mistakes(raw)
     mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
+
+    def again(tags: TimeTags) -> list[Scene]:
+        scenes = [compare(tags.undone(recording), model, MOST_SAMPLES // len(recordings)) for recording in recordings]
+        return [_rewired(scene, mistakes) for scene in scenes] if mistakes else scenes
+
+    tags, mended = find_time_tags(mended, again) or (None, mended)
     scenes, stuck, read_off, outliers = [], [], [], []
     for scene in mended:
         within, clipped = find_clipped(scene)
@@ -115,7 +122,8 @@ def discrepancy(
         read_off += limits
         mistakes += wired
         search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text))
-    report = _report(recordings, model, raw, scenes, search, mistakes, stuck, combined(read_off), outliers, tell)
+    undone: list[Mistake | TimeTags] = [*mistakes, tags] if tags is not None else [*mistakes]
+    report = _report(recordings, model, raw, scenes, search, undone, stuck, combined(read_off), outliers, tell)
     if out is not None:
         _write(report, out)
     tell(1.0, "done")
@@ -168,7 +176,7 @@ def _report(
     raw: list[Scene],
     scenes: list[Scene],
     search: Search,
-    mistakes: list[Mistake],
+    undone: Sequence[Mistake | TimeTags],
     stuck: list[Stuck],
     read_off: list[ReadOff],
     outliers: list[Outlier],
@@ -185,7 +193,7 @@ def _report(
     curves = sorted(unexplained.curves, key=lambda a: -a.score)[:1]
     find_rivals(search, [*named, *curves], lambda share, text: tell(0.85 + 0.1 * share, text))
     tell(0.95, "writing down")
-    findings = [_wiring_finding(m, search) for m in mistakes]
+    findings = [finding for one in undone for finding in _undone_findings(one, search)]
     findings += _repair_findings(scenes, stuck)
     findings += [_read_off_finding(one, scenes) for one in read_off]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
@@ -334,15 +342,34 @@ def _plain(
     }
 
 
+def _undone_findings(one: Mistake | TimeTags, search: Search) -> list[dict[str, Any]]:
+    if isinstance(one, Mistake):
+        return [_wiring_finding(one, search)]
+    before, after = _undone_rms(search, search.evidence.slots, one.explained)
+    found = []
+    if one.delay_sigma_s:
+        delay = ParameterValue(value=one.delay_s, sigma=one.delay_sigma_s, unit="s")
+        found.append(_plain("latency", "all", {"delay": delay}, 0.5 * one.explained, before, after))
+    if one.clock_sigma:
+        error = ParameterValue(value=one.clock_error, sigma=one.clock_sigma, unit="1")
+        found.append(_plain("clock_scale", "all", {"error": error}, 0.5 * one.explained, before, after))
+    return found
+
+
+def _undone_rms(search: Search, slots: Sequence[Slot], explained: float) -> tuple[float, float]:
+    """Return the whitened RMS with what was undone, which explains so much in χ², and without."""
+    after = rms(search, slots, search.fit)
+    count = sum(search.evidence.basis[s].n for s in slots)
+    return math.sqrt(after**2 + explained / max(count, 1)), after
+
+
 def _wiring_finding(mistake: Mistake, search: Search) -> dict[str, Any]:
     values = {}
     if mistake.effect == "unit_error":
         values["factor"] = ParameterValue(value=mistake.factor, sigma=0.0, unit="1")
     names = [n for part in mistake.channel.split("<-") for n in CHANNELS if n.startswith(part)]
     slots = [s for s in search.evidence.slots if CHANNELS[s[1]] in names]
-    after = rms(search, slots, search.fit)
-    count = sum(search.evidence.basis[s].n for s in slots)
-    before = math.sqrt(after**2 + mistake.explained / max(count, 1))
+    before, after = _undone_rms(search, slots, mistake.explained)
     finding = _plain(mistake.effect, mistake.channel, values, 0.5 * mistake.explained, before, after)
     behind = 0.5 * mistake.explained - bayes_factor(0.5 * mistake.explained, 1, 1.0)
     if mistake.constant and mistake.effect != "axis_swap" and behind < TIE:  # a shift of just that size

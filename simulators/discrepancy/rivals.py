@@ -50,7 +50,9 @@ def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without:
     mine = bayes_factor(look.gain(h), h.freedom, searcher.places(h))
     tied = []
     for pair in searcher.pairs(pool, look, mine - TIE - _SLACK_OF_TWO):
-        score, both, _ = searcher.joint(pair, rest, without)
+        score, both, fit = searcher.joint(pair, rest, without)
+        if h.name in (pair[0].name, pair[1].name):
+            score = max(score, own.score + fit.value - own.fit.value)  # the same in other words: the fit alone counts
         if score > own.score - TIE:
             tied.append(Together((both[-2], both[-1]), score))
     return sorted(tied, key=lambda one: -one.score)

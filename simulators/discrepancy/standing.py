@@ -154,8 +154,12 @@ def _standing(
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
-        # A turn that comes late leaves an attitude late, not all at once right when a register is let go.
-        astray = as_is if tilted and _let_go(off, int(b), step, noise) else min(as_is, without_ends)
+        if tilted and _let_go(off, int(b), step, noise):
+            astray = as_is  # a turn that comes late leaves an attitude late, not all at once right
+        elif np.array_equal(offs[0][a + 1 : b + 1], offs[1][a + 1 : b + 1]):
+            astray = without_ends  # what a turn's end does to the neighbours says nothing of the run
+        else:
+            astray = min(as_is, without_ends)
         short = b - a < _SHORT_RUN
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:

@@ -126,6 +126,31 @@ def test_a_size_is_the_oracles_signal_to_noise() -> None:
     assert 0.9 * low < np.sum(np.square(statistic)) < 1.1 * high  # a tenth for the DCT's being nearly diagonal only
 
 
+@pytest.mark.parametrize("late", [(4e-3, 0.0), (8.3e-2, 0.0), (0.0, -8e-5)])
+def test_what_a_late_schedule_explains_has_no_more_size_than_that_costs(late: tuple[float, float]) -> None:
+    """A delay of all is no larger than its σ as a delay of the schedule, whatever samples the turns' ends pass into.
+
+    And a clock's error no larger than all ends late by as much: each by 1 ms (σ) at the cost of its own square.
+    """
+    rng = np.random.default_rng(7)
+    plan = plans.plan(rng, kind="dtg", motion="positions", climate="steady")
+    setup, _, _ = plans.stated_setup(rng, plan, 100.0)
+    world = plans.world_of(rng, plan, setup, 100.0)
+    metric = oracle.Metric(world, plans.noise_of(rng, "dtg"))
+    metric.set_nuisance(oracle.nuisance(world, plan.sigma, False, [], late))
+    ends_s = np.array([end_s for turn in setup.turns for end_s in (turn.start_s, turn.end_s)])
+    constant, growing = late
+    if growing:  # a false clock makes forces smaller too, which no schedule does: left out
+        factor = np.where(np.arange(6) < 3, 1.0, 1.0 + growing)
+        shift = world.inputs * factor - world.inputs_of(setup, world.edges * (1.0 - growing))
+        bound = float(np.linalg.norm(growing * ends_s)) / oracle.TIMING_SIGMA_S
+    else:
+        shift = hidden.delayed(hidden.Effect("latency", "all", {"delay": constant}, ("delay",)), world) - world.inputs
+        bound = constant / oracle.TIMING_SIGMA_S
+    assert np.linalg.norm(metric.whiten(shift)) > 20.0 * bound
+    assert 0.1 * bound < metric.size(shift) < 1.01 * bound
+
+
 @pytest.mark.parametrize("number", [0, 3])
 def test_a_case_is_drawn_from_its_seed_and_can_be_read(number: int, tmp_path: Path) -> None:
     first = make(77, number)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import closed_form
 import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
+from hidden_case import hidden_case
 
 from simulators.discrepancy import adopt
 from simulators.discrepancy.adopt import MARGIN
@@ -42,6 +44,23 @@ def test_a_coefficient_from_an_unusual_voltage_may_be_one_from_the_usual_and_a_s
     assert ("bias shift on accel_x with it counted from the usual" in report.document["text"]) == (shift != 0.0)
     assert report.document["next_recording"][0]["name"] == "supply"
     assert report.document["next_recording"][0]["expected_nats"] > 10.0 * found["evidence_nats"]
+
+
+def test_what_says_the_same_in_other_words_ties_however_the_words_are_charged(tmp_path: Path) -> None:
+    """A shift of d = 10 beside a coefficient of 80: the fitted voltage says it for less than a second name is charged.
+
+    It was named alone; the shift was 3.5 nats behind by its charge, and by the data none.
+    """
+    case = hidden_case(90616, 390, tmp_path)
+    found = next(
+        one
+        for one in discrepancy([case.recording], case.model).findings
+        if one["effect"] == "supply_sensitivity" and one["channel"] == "accel_z"
+    )
+    (shift,) = (one for one in found["alternatives"] if one["effect"] == "bias_shift")
+    assert shift["channel"] == "accel_z"
+    assert shift["together_with"] == {"effect": "supply_sensitivity", "channel": "accel_z"}
+    assert abs(shift["behind_nats"]) < 3.0
 
 
 def test_where_a_shift_is_named_too_a_coefficient_is_counted_from_the_usual_voltage() -> None:

@@ -225,3 +225,12 @@ def test_a_reading_at_the_crest_of_a_swing_is_no_stuck_register(
     rates = samples["dv"][:, 0] - samples["dv"][:, 0].mean() + mean_steps * step + ringing
     samples["dv"][:, 0] = np.diff(np.rint(np.cumsum(rates) / step), prepend=0.0) * step
     assert find_stuck(compare(dataclasses.replace(case, samples=samples), model()))[1] == []
+
+
+def test_what_a_turns_end_does_beside_a_register_that_stood_still_does_not_hide_it(tmp_path: Path) -> None:
+    """Half a second at zero, ten steps missing: a turn that ended within its neighbours made them witness nothing."""
+    case = hidden_case(90616, 30, tmp_path)
+    (hidden,) = case.truth["effects"]
+    (found,) = find_stuck(compare(case.recording, case.model))[1]
+    assert found.channel == hidden["channel"]
+    assert abs(found.start_s - hidden["parameters"]["start"]) < 3.3 * found.sigma_s

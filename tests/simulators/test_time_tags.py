@@ -1,0 +1,99 @@
+"""Time tags far off: found before all else, and told from turns and from sensors that are late alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_case import HiddenCase, hidden_case
+
+from drivers.recording import Recording
+from simulators.discrepancy.compare import Scene, compare
+from simulators.discrepancy.report import discrepancy
+from simulators.discrepancy.time_tags import TimeTags, find_time_tags
+from simulators.motion import Turn
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory: pytest.TempPathFactory) -> HiddenCase:
+    """Return a block that was taken to several positions on time, and hides nothing."""
+    case = hidden_case(90616, 88, tmp_path_factory.mktemp("still"))
+    assert not case.truth["effects"]
+    return case
+
+
+def _found(case: HiddenCase, scene: Scene) -> TimeTags | None:
+    found = find_time_tags([scene], lambda tags: [compare(tags.undone(case.recording), case.model)])
+    return None if found is None else found[0]
+
+
+def _stamped(recording: Recording, delay_s: float, clock_error: float) -> Recording:
+    """Return the recording with readings older than their stamps, of a clock that runs fast."""
+    samples = recording.samples.copy()
+    samples["time"] = (samples["time"] + delay_s) * (1.0 + clock_error)
+    return replace(recording, samples=samples)
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "clock_error"),
+    [(0.35, 0.0), (0.083, 0.0), (0.02, 0.0), (-0.02, 0.0), (-0.15, 0.0), (0.0, 1e-4), (0.0, -2e-3), (0.1, 5e-4)],
+)
+def test_a_delay_and_a_wrong_clock_are_found_whatever_their_sizes(
+    still: HiddenCase, delay_s: float, clock_error: float
+) -> None:
+    case = replace(still, recording=_stamped(still.recording, delay_s, clock_error))
+    found = _found(case, compare(case.recording, case.model))
+    assert found is not None
+    assert (found.delay_sigma_s > 0.0, found.clock_sigma > 0.0) == (delay_s != 0.0, clock_error != 0.0)
+    assert abs(found.delay_s - delay_s) <= 3.3 * found.delay_sigma_s
+    assert abs(found.clock_error - clock_error) <= 3.3 * found.clock_sigma
+
+
+def test_what_is_on_time_has_neither(still: HiddenCase) -> None:
+    assert _found(still, compare(still.recording, still.model)) is None
+
+
+def test_one_turn_that_came_late_says_nothing_of_the_stamps(still: HiddenCase) -> None:
+    scene = compare(still.recording, still.model)
+    place, turn = scene.turns()[1]
+    motions = list(scene.setup.motions)
+    assert isinstance(turn, Turn)
+    motions[place] = replace(turn, start_s=turn.start_s - 0.1, end_s=turn.end_s - 0.1)
+    setup = replace(scene.setup, motions=tuple(motions))
+    assert _found(still, replace(scene, setup=setup, predicted=scene.predict(setup))) is None
+
+
+@pytest.mark.parametrize("late", [slice(0, 3), slice(3, 6)])
+def test_sensors_of_one_kind_that_are_late_alone_are_no_delay_of_all(still: HiddenCase, late: slice) -> None:
+    scene = compare(still.recording, still.model)
+    measured = scene.measured.copy()
+    measured[:, late] = np.roll(measured[:, late], 5, axis=0)
+    assert _found(still, replace(scene, measured=measured)) is None
+
+
+def test_a_delay_of_eighty_milliseconds_is_all_that_is_named(tmp_path: Path) -> None:
+    """Of limits, steps and registers that stand still, as which its turns may pass, there is none."""
+    case = hidden_case(90616, 225, tmp_path)
+    (hidden,) = case.truth["effects"]
+    report = discrepancy([case.recording], case.model)
+    (found,) = report.findings
+    assert (found["effect"], found["channel"]) == (hidden["effect"], hidden["channel"]) == ("latency", "all")
+    delay = found["parameters"]["delay"]
+    assert abs(delay["value"] - hidden["parameters"]["delay"]) < 3.3 * delay["sigma"]
+    assert report.verdict == "named"
+    assert report.document["gap"]["whitened_rms"]["after"] < 1.1
+
+
+@pytest.mark.parametrize(("seed", "number"), [(90610, 121), (90610, 241)])
+def test_a_clock_that_runs_wrong_by_many_samples_is_all_that_is_named(seed: int, number: int, tmp_path: Path) -> None:
+    """By 15 ms and by 26 ms at the end: as larger noise, steps and a delay of one triad it passed before."""
+    case = hidden_case(seed, number, tmp_path)
+    (hidden,) = case.truth["effects"]
+    report = discrepancy([case.recording], case.model)
+    (found,) = report.findings
+    assert (found["effect"], found["channel"]) == (hidden["effect"], hidden["channel"]) == ("clock_scale", "all")
+    error = found["parameters"]["error"]
+    assert abs(error["value"] - hidden["parameters"]["error"]) < 3.3 * error["sigma"]
+    assert report.verdict == "named"
