@@ -16,8 +16,7 @@ from simulators.discrepancy.compare import Lateness, Scene
 from simulators.discrepancy.evidence import Evidence, Fit
 
 _MUCH_S = 1e-3  # below which a shift adds what it adds in proportion
-MOST_LATE_S = 8e-3
-"""By how much a start or an end is taken to be late at most."""
+_MOST_S = 8e-3
 
 
 def as_late(scenes: Sequence[Scene]) -> list[Scene]:
@@ -54,8 +53,8 @@ def _found(schedule: Schedule, fit: Fit) -> Lateness:
     whole = amplitude.get(schedule.offset, 0.0) if schedule.offset is not None else 0.0
     return tuple(
         (
-            float(np.clip(whole + sum(amplitude.get(i, 0.0) for i in start), -MOST_LATE_S, MOST_LATE_S)),
-            float(np.clip(whole + sum(amplitude.get(i, 0.0) for i in end), -MOST_LATE_S, MOST_LATE_S)),
+            float(np.clip(whole + sum(amplitude.get(i, 0.0) for i in start), -_MOST_S, _MOST_S)),
+            float(np.clip(whole + sum(amplitude.get(i, 0.0) for i in end), -_MOST_S, _MOST_S)),
         )
         for start, end in zip(schedule.starts, schedule.ends, strict=True)
     )

@@ -1,7 +1,7 @@
 """A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
 
-Smooth functions of time, waves that die out, temperature, the sensor's own input, products of inputs, memory of the
-input, whether it fades or is hysteresis, and ringing after changes of motion.
+Smooth functions of time, waves that die out, temperature, the sensor's own input, products of inputs, and of one with
+the size of another, memory of the input, whether it fades or is hysteresis, and ringing after changes of motion.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _MEMORY_S = (1.5, 6.0, 25.0)
 _PLAYS = (0.1, 0.2, 0.3, 0.45)  # shares of half the input's range
 _LASTING, _WAVES = (0.05, 0.12, 0.25), (1.0, 2.0, 3.0, 4.0, 6.0)
+_TURNED = 0.1  # of an input's largest size, that it must have in the other direction too
 _RINGS_S, _PERIODS_S = (2.0, 6.0), (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 _NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 
@@ -96,6 +97,10 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
                 and (np.ptp(inputs[:, i]) > 1e-3 * sizes[i]) | (np.ptp(inputs[:, j]) > 1e-3 * sizes[j])
             ):
                 yield f"{_NAMES[i]} x {_NAMES[j]}", inputs[:, i] * inputs[:, j] / (sizes[i] * sizes[j])
+    # What asks for no direction, as friction and heat do not; of an input that keeps its sign it is the product itself.
+    for j in np.flatnonzero(np.minimum(-inputs.min(axis=0), inputs.max(axis=0)) > _TURNED * sizes).tolist():
+        for i in (i for i in range(6) if i != j and sizes[i] > 0):
+            yield f"{_NAMES[i]} x size of {_NAMES[j]}", inputs[:, i] * np.abs(inputs[:, j]) / (sizes[i] * sizes[j])
     if largest > 0.0 and np.ptp(own) > 1e-3 * largest:
         yield "input x time", own / largest * np.cos(phase)
 

@@ -156,14 +156,16 @@ def _standing(
         as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
         if tilted and _let_go(off, int(b), step, noise):
             astray = as_is  # a turn that comes late leaves an attitude late, not all at once right
-        elif np.array_equal(offs[0][a + 1 : b + 1], offs[1][a + 1 : b + 1]):
-            astray = without_ends  # what a turn's end does to the neighbours says nothing of the run
+        elif not tilted and np.array_equal(offs[0][a + 1 : b + 1], offs[1][a + 1 : b + 1]):
+            astray = without_ends  # what a turn's end does to a gyro's readings beside says nothing of the run
         else:
             astray = min(as_is, without_ends)
         short = b - a < _SHORT_RUN
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
             continue  # of a few samples only a motion that goes on without them tells
+        if not _was_read(off, int(a), math.hypot(noise, jolt, step)):
+            continue
         if b - a >= chance or astray > (_FAR_ASTRAY if short else _ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
@@ -295,6 +297,15 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
         return 0.0
     far, near = (_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
     return min(far, near / _NEAR_SHARE)
+
+
+def _was_read(off: Array, a: int, sigma: float) -> bool:
+    """Whether what is repeated from ``a`` on was a reading at first, as right as those before it.
+
+    A dead band that a fast input passes repeats zeros that never were one.
+    """
+    before = off[max(a - _LEAP, 0) : a]
+    return not before.size or abs(float(off[a] - before.mean())) < _ASTRAY * sigma
 
 
 def _let_go(off: Array, b: int, step: float, noise: float) -> bool:

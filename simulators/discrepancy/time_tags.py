@@ -2,8 +2,7 @@
 
 Every turn begins and ends late then, all by as much or in proportion to the time. What is left of that looks like
 anything: steps, limits, registers that stand still. So the stamps are put right first, and the schedule as late as the
-readings. What makes no end of a turn later than :data:`MOST_LATE_S` is told in the search, beside what each was late by
-itself.
+readings. What the schedule itself may be off by is told in the search, beside what each turn was late by itself.
 """
 
 from __future__ import annotations
@@ -19,14 +18,15 @@ from scipy.stats import siegelslopes
 from drivers.recording import Recording
 from simulators.discrepancy.candidates import TIMING_SIGMA_S
 from simulators.discrepancy.compare import Scene
-from simulators.discrepancy.lateness import MOST_LATE_S
 
 Array = NDArray[np.float64]
 
 _LONGEST_S, _APART_S = 0.5, 0.02  # of latenesses that are looked for, and between two at first
 _ABOUT_S = 0.6  # an end of a turn
+_MUCH = 5.0  # σ of a schedule that is kept, by which an end of a turn must be late
 _LEAST = 60.0  # by how much χ² must fall, of each triad, and rise beside the lateness of an end
-_FEWEST_ENDS, _AGREE, _ASTRAY_S = 4, 0.8, 5e-3  # of turns; share of them that are no further off the line
+_FEWEST_ENDS, _MOST_ENDS = 4, 60  # of turns that are looked at
+_AGREE, _ASTRAY_S = 0.8, 5e-3  # share of them that are no further off the line
 _TRIADS_S = 5e-3  # by which what accelerometers and gyros say may differ
 _SHARPEST_S = 1e-4  # to which a lateness is known at best
 _CHARGED = 6.0  # nats of a delay, or of a clock's error
@@ -86,7 +86,7 @@ def _found(scenes: Sequence[Scene]) -> TimeTags | None:
         return None
     line = max((_line(known, np.array(fitted)) for fitted in _LINES), key=lambda line: line.nats)
     late_s = np.array([line.late[0] + line.late[1] * end.end_s for end in ends])
-    if np.max(np.abs(late_s)) < MOST_LATE_S:
+    if np.max(np.abs(late_s)) < _MUCH * TIMING_SIGMA_S:
         return None
 
     def left(more_s: float) -> Array:
@@ -157,12 +157,14 @@ def _line(known: _Lateness, fitted: NDArray[np.bool_]) -> _Line:
 class _End:
     """Readings (m, 6) about an end of a turn at ``end_s``, over their noise, and the integral of what is predicted.
 
-    ``edges_s`` (m + 1,) are those of the readings; ``integral`` (k, 6) stands at ``at_s`` (k,), and reaches farther.
+    ``edges_s`` (m + 1,) are those of the readings, ``came`` (m,) those that were not lost; ``integral`` (k, 6) stands
+    at ``at_s`` (k,), and reaches farther.
     """
 
     end_s: float
     edges_s: Array
     readings: Array
+    came: NDArray[np.bool_]
     at_s: Array
     integral: Array
 
@@ -170,7 +172,7 @@ class _End:
         """Return χ² that is left, of accelerometers and gyros, where the readings are so late."""
         when = self.edges_s - late_s
         sums = np.column_stack([np.interp(when, self.at_s, column) for column in self.integral.T])
-        square = np.square(self.readings - np.diff(sums, axis=0) / np.diff(self.edges_s)[:, None])
+        square = np.square(self.readings - np.diff(sums, axis=0) / np.diff(self.edges_s)[:, None])[self.came]
         return np.array([square[:, triad].sum() for triad in _TRIADS])
 
     def lateness(self) -> float | None:
@@ -184,18 +186,18 @@ class _End:
 
 
 def _ends(scene: Scene) -> list[_End]:
-    """Return what lies about the ends of a recording's turns, where nothing is missing."""
-    edges, missing = scene.data.edges_s, np.any(scene.data.missing, axis=1)
+    """Return what lies about the ends of a recording's turns, of some of them where there are many."""
+    edges, came = scene.data.edges_s, ~np.any(scene.data.missing, axis=1)
     sums = np.concatenate([np.zeros((1, 6)), np.cumsum(scene.predicted * np.diff(edges)[:, None], axis=0)])
+    all_s = sorted({end_s for _, turn in scene.turns() for end_s in (turn.start_s, turn.end_s)})
     found = []
-    for end_s in sorted({end_s for _, turn in scene.turns() for end_s in (turn.start_s, turn.end_s)}):
+    for end_s in all_s[:: -(-len(all_s) // _MOST_ENDS) or 1]:
         first, last = np.searchsorted(edges, [end_s - _ABOUT_S, end_s + _ABOUT_S])
         low, high = np.searchsorted(edges, [end_s - _ABOUT_S - _LONGEST_S, end_s + _ABOUT_S + _LONGEST_S])
-        whole = low > 0 and high < len(edges)
-        if whole and not missing[first:last].any():
-            reach = slice(low, high + 1)
-            readings = scene.measured[first:last] / scene.noise_sigma
-            found.append(_End(end_s, edges[first : last + 1], readings, edges[reach], sums[reach] / scene.noise_sigma))
+        if low > 0 and high < len(edges):
+            rows, reach = slice(first, last), slice(low, high + 1)
+            readings, integral = scene.measured[rows] / scene.noise_sigma, sums[reach] / scene.noise_sigma
+            found.append(_End(end_s, edges[first : last + 1], readings, came[rows], edges[reach], integral))
     return found
 
 

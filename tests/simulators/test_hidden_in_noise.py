@@ -347,3 +347,13 @@ def test_noise_of_a_sample_is_found_beside_what_jumps_and_beside_a_line(*, free:
 
     found = compare(recording(off, 31), model(free=free)).noise_sigma[3:]
     assert found == pytest.approx([GYRO_SIGMA] * 3, rel=0.25)
+
+
+@pytest.mark.parametrize("number", [239, 474])
+def test_an_input_times_the_size_of_another_is_no_sensitivity_to_the_first(number: int, tmp_path: Path) -> None:
+    """A force that nearly keeps its size does for it what the first alone does, but for what noise takes in."""
+    case = hidden_case(90617, number, tmp_path)
+    assert case.truth["strange"] == "product"
+    report = discrepancy([case.recording], case.model)
+    assert report.verdict == "unknown"
+    assert not report.findings

@@ -38,7 +38,17 @@ def _stamped(recording: Recording, delay_s: float, clock_error: float) -> Record
 
 @pytest.mark.parametrize(
     ("delay_s", "clock_error"),
-    [(0.35, 0.0), (0.083, 0.0), (0.02, 0.0), (-0.02, 0.0), (-0.15, 0.0), (0.0, 1e-4), (0.0, -2e-3), (0.1, 5e-4)],
+    [
+        (0.35, 0.0),
+        (0.083, 0.0),
+        (0.02, 0.0),
+        (0.007, 0.0),
+        (-0.02, 0.0),
+        (-0.15, 0.0),
+        (0.0, 1e-4),
+        (0.0, -2e-3),
+        (0.1, 5e-4),
+    ],
 )
 def test_a_delay_and_a_wrong_clock_are_found_whatever_their_sizes(
     still: HiddenCase, delay_s: float, clock_error: float
@@ -49,6 +59,16 @@ def test_a_delay_and_a_wrong_clock_are_found_whatever_their_sizes(
     assert (found.delay_sigma_s > 0.0, found.clock_sigma > 0.0) == (delay_s != 0.0, clock_error != 0.0)
     assert abs(found.delay_s - delay_s) <= 3.3 * found.delay_sigma_s
     assert abs(found.clock_error - clock_error) <= 3.3 * found.clock_sigma
+
+
+def test_a_delay_is_found_though_a_tenth_of_the_samples_were_lost(still: HiddenCase) -> None:
+    recording = _stamped(still.recording, 0.05, 0.0)
+    kept = np.random.default_rng(3).random(len(recording.samples)) > 0.1
+    case = replace(still, recording=replace(recording, samples=recording.samples[kept]))
+    found = _found(case, compare(case.recording, case.model))
+    assert found is not None
+    assert abs(found.delay_s - 0.05) < 3.3 * found.delay_sigma_s
+    assert found.clock_sigma == 0.0
 
 
 def test_what_is_on_time_has_neither(still: HiddenCase) -> None:
