@@ -6,6 +6,7 @@ the size of another, memory of the input, whether it fades or is hysteresis, and
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -97,9 +98,11 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
                 and (np.ptp(inputs[:, i]) > 1e-3 * sizes[i]) | (np.ptp(inputs[:, j]) > 1e-3 * sizes[j])
             ):
                 yield f"{_NAMES[i]} x {_NAMES[j]}", inputs[:, i] * inputs[:, j] / (sizes[i] * sizes[j])
-    # What asks for no direction, as friction and heat do not; of an input that keeps its sign it is the product itself.
-    for j in np.flatnonzero(np.minimum(-inputs.min(axis=0), inputs.max(axis=0)) > _TURNED * sizes).tolist():
-        for i in (i for i in range(6) if i != j and sizes[i] > 0):
+    # Two others, one by its size, as friction and heat go by; of one that keeps its sign it is the product itself.
+    others = [i for i in range(6) if i != channel and sizes[i] > 0]
+    turned = np.minimum(-inputs.min(axis=0), inputs.max(axis=0)) > _TURNED * sizes
+    for i, j in itertools.permutations(others, 2):
+        if turned[j]:
             yield f"{_NAMES[i]} x size of {_NAMES[j]}", inputs[:, i] * np.abs(inputs[:, j]) / (sizes[i] * sizes[j])
     if largest > 0.0 and np.ptp(own) > 1e-3 * largest:
         yield "input x time", own / largest * np.cos(phase)
