@@ -29,6 +29,7 @@ _FEWEST_ENDS, _MOST_ENDS = 4, 60  # of turns that are looked at
 _AGREE, _ASTRAY_S = 0.8, 5e-3  # share of them that are no further off the line
 _TRIADS_S = 5e-3  # by which what accelerometers and gyros say may differ
 _SHARPEST_S = 1e-4  # to which a lateness is known at best
+_LEAST_NOISE = 1e-12  # of a reading [SI]: one that was simulated may have none
 _CHARGED = 6.0  # nats of a delay, or of a clock's error
 _ROUNDS = 2  # of what a sample's edges leave over
 _TRIADS = slice(0, 3), slice(3, 6)
@@ -189,6 +190,7 @@ def _ends(scene: Scene) -> list[_End]:
     """Return what lies about the ends of a recording's turns, of some of them where there are many."""
     edges, came = scene.data.edges_s, ~np.any(scene.data.missing, axis=1)
     sums = np.concatenate([np.zeros((1, 6)), np.cumsum(scene.predicted * np.diff(edges)[:, None], axis=0)])
+    sigma = np.maximum(scene.noise_sigma, _LEAST_NOISE)
     all_s = sorted({end_s for _, turn in scene.turns() for end_s in (turn.start_s, turn.end_s)})
     found = []
     for end_s in all_s[:: -(-len(all_s) // _MOST_ENDS) or 1]:
@@ -196,7 +198,7 @@ def _ends(scene: Scene) -> list[_End]:
         low, high = np.searchsorted(edges, [end_s - _ABOUT_S - _LONGEST_S, end_s + _ABOUT_S + _LONGEST_S])
         if low > 0 and high < len(edges):
             rows, reach = slice(first, last), slice(low, high + 1)
-            readings, integral = scene.measured[rows] / scene.noise_sigma, sums[reach] / scene.noise_sigma
+            readings, integral = scene.measured[rows] / sigma, sums[reach] / sigma
             found.append(_End(end_s, edges[first : last + 1], readings, came[rows], edges[reach], integral))
     return found
 

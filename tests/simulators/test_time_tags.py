@@ -75,6 +75,11 @@ def test_what_is_on_time_has_neither(still: HiddenCase) -> None:
     assert _found(still, compare(still.recording, still.model)) is None
 
 
+def test_readings_without_any_noise_have_neither(still: HiddenCase) -> None:
+    scene = compare(still.recording, still.model)
+    assert _found(still, replace(scene, measured=scene.predicted.copy())) is None
+
+
 def test_one_turn_that_came_late_says_nothing_of_the_stamps(still: HiddenCase) -> None:
     scene = compare(still.recording, still.model)
     place, turn = scene.turns()[1]
