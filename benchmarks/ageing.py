@@ -106,7 +106,7 @@ def known(case: str, blocks: int, seed: int) -> dict[str, Any]:
     for number, (name, term) in enumerate(terms.items()):
         planted = TermLaw(spread=SPREAD[name[-1]], **CASES[case])
         sizes = Sizes(
-            PlantedLaw(0.0, 0.0, 0.0, 0.0, planted.law),
+            PlantedLaw(0.0, 0.0, 0.0, 0.0, name=planted.law),
             *(planted.mean, planted.spread, planted.offset, planted.walk, planted.scatter),
             planted.relaxation_months or math.inf,
         )

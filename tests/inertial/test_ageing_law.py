@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,9 @@ from inertial.ageing import TermHistories, fit_population
 from inertial.ageing_forecast import HORIZON_MONTHS, leaving, leaving_months
 from inertial.ageing_law import DriftLaw
 from simulators.fleet import TermLaw, simulate_term
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks are no installed package
+from benchmarks.ageing import known
 
 AGES = np.array([0.0, 0.5, 1.0, 3.0, 12.0, 24.0, 60.0, 264.0])
 
@@ -74,6 +79,15 @@ def test_the_draws_of_a_fit_stray_as_they_are_said_to_and_alike_on_all_axes() ->
 def test_a_law_is_known_to_the_age_that_some_blocks_are_beyond() -> None:
     blocks = [(np.arange(1.0, last + 1.0), np.zeros(last), np.ones(last)) for last in (*[12] * 8, 36, 60)]
     assert TermHistories.of(blocks).known_months == 36.0
+
+
+@pytest.mark.parametrize("law", ["logarithmic", "stretched"])
+def test_with_the_planted_law_forecasts_cover_within_the_binomial_band(law: str) -> None:
+    """Of a law that the family holds and of one that it does not: nothing of it is fitted, and none strays."""
+    found = known(law, blocks=100, seed=1)
+    low, high = binom.interval(0.999, found["intervals"], 0.9)
+    assert found["intervals"] > 30
+    assert low <= found["inside"] <= high
 
 
 def test_exponential_saturation_is_covered_within_the_binomial_band() -> None:
