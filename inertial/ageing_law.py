@@ -58,9 +58,18 @@ class DriftLaw:
         return np.asarray(self.onset + (1.0 - self.onset) * later)
 
     def growth_beyond(self, months: Array, known_months: float) -> Array:
-        """Return h at ages [months] (…, n), increasing, that goes off the law beyond ``known_months``.
+        """Continue h beyond the ages at which its law is known: h' is (age/known)^stray times the law's there.
 
-        From the first of each row on, where it is the law's: h' is (age/known_months)^stray times as large.
+        Parameters
+        ----------
+        months
+            Ages [months] (…, n), increasing along the last axis; at the first of each row h is the law's.
+        known_months
+            The age [months] up to which it is known.
+
+        Returns
+        -------
+        h (…, n), in units of the first year's drift.
         """
         ages = np.asarray(months, dtype=np.float64)
         lawful = self.growth(ages)

@@ -94,14 +94,13 @@ def discrepancy(
         raise ValueError("no recording given; give one or more")
     tell = progress or _silent
     tell(0.02, "predicting")
-    raw = [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
+    raw = _compared(recordings, model)
     mistakes = find_mistakes(raw)
-    mended = [_rewired(scene, mistakes) for scene in raw] if mistakes else raw
 
     def again(tags: TimeTags) -> list[Scene]:
-        scenes = [compare(tags.undone(recording), model, MOST_SAMPLES // len(recordings)) for recording in recordings]
-        return [_rewired(scene, mistakes) for scene in scenes] if mistakes else scenes
+        return _mended(_compared([tags.undone(recording) for recording in recordings], model), mistakes)
 
+    mended = _mended(raw, mistakes)
     tags, mended = find_time_tags(mended, again) or (None, mended)
     scenes, stuck, read_off, outliers = [], [], [], []
     for scene in mended:
@@ -118,7 +117,7 @@ def discrepancy(
     limits, wired = _limits(search), _wired(search)
     if limits or wired:
         scenes = [reduce(without_limit, limits, scene) for scene in scenes]
-        scenes = [_rewired(scene, wired) for scene in scenes] if wired else scenes
+        scenes = _mended(scenes, wired)
         read_off += limits
         mistakes += wired
         search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text))
@@ -128,6 +127,14 @@ def discrepancy(
         _write(report, out)
     tell(1.0, "done")
     return report
+
+
+def _compared(recordings: Sequence[Recording], model: BlockModel) -> list[Scene]:
+    return [compare(recording, model, MOST_SAMPLES // len(recordings)) for recording in recordings]
+
+
+def _mended(scenes: list[Scene], mistakes: list[Mistake]) -> list[Scene]:
+    return [_rewired(scene, mistakes) for scene in scenes] if mistakes else scenes
 
 
 def _searched(scenes: list[Scene], tell: Progress) -> Search:

@@ -63,16 +63,28 @@ class TimeTags:
 def find_time_tags(
     scenes: Sequence[Scene], again: Callable[[TimeTags], list[Scene]]
 ) -> tuple[TimeTags, list[Scene]] | None:
-    """Return what is wrong with the time tags, and the scenes without; none: nothing, or not by much.
+    """Find a delay of all readings, a clock that runs wrong, or both, where an end of a turn is late by much.
 
-    ``again`` compares the recordings with time tags undone.
+    By the line in time on which the lateness of most ends lies (repeated medians, Siegel 1982), and what of it a
+    schedule that is kept would hardly be off by.
+
+    Parameters
+    ----------
+    scenes
+        Of the recordings as they are stamped.
+    again
+        Compares the recordings once more, with time tags undone.
+
+    Returns
+    -------
+    What is wrong, and the scenes without it; None: nothing, or no more than the schedule may be off by.
     """
     found = _found(scenes)
     if found is None:
         return None
     fitted = np.array([found.delay_sigma_s > 0.0, found.clock_sigma > 0.0])
     for _ in range(_ROUNDS):
-        known = _Lateness.of([one for scene in again(found) for one in _ends(scene)])
+        known = _LateEnds.of([one for scene in again(found) for one in _ends(scene)])
         if known is None:
             break
         delay_s, error = _line(known, fitted).late
@@ -82,7 +94,7 @@ def find_time_tags(
 
 def _found(scenes: Sequence[Scene]) -> TimeTags | None:
     ends = [one for scene in scenes for one in _ends(scene)]
-    known = _Lateness.of(ends)
+    known = _LateEnds.of(ends)
     if known is None:
         return None
     line = max((_line(known, np.array(fitted)) for fitted in _LINES), key=lambda line: line.nats)
@@ -103,15 +115,15 @@ def _found(scenes: Sequence[Scene]) -> TimeTags | None:
 
 
 @dataclass(frozen=True)
-class _Lateness:
-    """By how much ends of turns at ``at_s`` were late (n,), those that nothing explains left out, and their scatter."""
+class _LateEnds:
+    """Ends of turns at ``at_s`` that were late by ``late_s`` (n,), but those off the line; they scatter by ``sharp_s``."""
 
     at_s: Array
     late_s: Array
     sharp_s: float
 
     @classmethod
-    def of(cls, ends: Sequence[_End]) -> _Lateness | None:
+    def of(cls, ends: Sequence[_End]) -> _LateEnds | None:
         """Return that of most ends; none where too few tell, or too many lie off a line in time."""
         known = [(end.end_s, late_s) for end in ends if (late_s := end.lateness()) is not None]
         if len(known) < _FEWEST_ENDS:
@@ -135,7 +147,7 @@ class _Line:
     nats: float
 
 
-def _line(known: _Lateness, fitted: NDArray[np.bool_]) -> _Line:
+def _line(known: _LateEnds, fitted: NDArray[np.bool_]) -> _Line:
     """Return lateness as a delay, a clock's error or both, as ``fitted`` says; what is not is 0.
 
     Beside it the schedule as a whole may be late by what it may be, where no delay takes that in.
