@@ -211,13 +211,11 @@ class _Draft:
 
     def _metric(self) -> oracle.Metric:
         extra = None if self.sway is None else self._sway_density
-        metric = oracle.Metric(self.world, self.spectra, extra)
-        metric.set_nuisance(self._nuisance())
-        return metric
+        return oracle.Metric(self.world, self.spectra, extra).beside(self._nuisance())
 
-    def _nuisance(self, *late: tuple[float, float]) -> list[np.ndarray]:
+    def _nuisance(self, late: tuple[float, float] = oracle.ONE_SIGMA) -> list[np.ndarray]:
         priors = [(channel, sigma) for channel, _, sigma, _ in self.known]
-        return oracle.nuisance(self.world, self.plan.sigma, self.plan.level_frame == "body", priors, *late)
+        return oracle.nuisance(self.world, self.plan.sigma, self.plan.level_frame == "body", priors, late)
 
     def case(self) -> Case:
         noise = self._noise()
@@ -358,12 +356,11 @@ class _Draft:
         """Size of a delay or of a clock's error, beside turns that may have been late by as much."""
         if effect.name == "latency":
             delay = effect.parameters["delay"]
-            self.metric.set_nuisance(self._nuisance((delay, 0.0)))
-            return self.metric.size(hidden.delayed(effect, self.world) - self.world.inputs)
+            beside = self.metric.beside(self._nuisance((delay, 0.0)))
+            return beside.size(hidden.delayed(effect, self.world) - self.world.inputs)
         error = effect.parameters["error"]
         # The wrong clock's samples begin where they do; those of a table that was late would begin so much before.
-        self.metric.set_nuisance(self._nuisance((0.0, -error)))
-        return self.metric.size(self._clock_shift(error))
+        return self.metric.beside(self._nuisance((0.0, -error))).size(self._clock_shift(error))
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = replace(self.world, setup=replace(self.world.setup, shakes=()))

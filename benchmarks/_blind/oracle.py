@@ -6,6 +6,7 @@ Beyond the nuisance parameters, whose priors are part of the covariance: d² = �
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,8 @@ from benchmarks._blind.world import World
 
 TIMING_SIGMA_S = 1e-3
 """Schedule against block clock, and each edge of a turn, always: what such an error hides does not count."""
+ONE_SIGMA = TIMING_SIGMA_S, 0.0
+"""So late [s], and so much more a second."""
 _BIN_S = 0.5
 
 
@@ -62,10 +65,11 @@ class Metric:
         """One channel's part of a flat vector."""
         return flat.reshape(6, -1)[channel]
 
-    def set_nuisance(self, columns: list[np.ndarray]) -> None:
-        """Take the shifts (n, 6) of one σ of each nuisance parameter."""
-        if columns:
-            self.nuisance = np.array([self.whiten(column) for column in columns])
+    def beside(self, columns: list[np.ndarray]) -> Metric:
+        """Return the metric beside nuisance parameters, of each the shift (n, 6) of one σ."""
+        other = copy(self)
+        other.nuisance = np.array([self.whiten(column) for column in columns])
+        return other
 
     def project(self, flat: np.ndarray) -> np.ndarray:
         """What is left of a whitened vector (or rows of them) when the nuisance has taken its share."""
@@ -112,7 +116,7 @@ def nuisance(
     sigma: dict[str, float],
     rides: bool,
     priors: list[tuple[int, float]],
-    late: tuple[float, float] = (TIMING_SIGMA_S, 0.0),
+    late: tuple[float, float] = ONE_SIGMA,
 ) -> list[np.ndarray]:
     """Shifts of one σ: azimuth, level, angle and timing of every turn, timing of all, biases of the model.
 

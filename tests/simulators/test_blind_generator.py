@@ -109,8 +109,7 @@ def test_a_size_is_the_oracles_signal_to_noise() -> None:
     setup, _, _ = plans.stated_setup(rng, plan, 60.0)
     world = plans.world_of(rng, plan, setup, 60.0)
     spectra = plans.noise_of(rng, "fibre")
-    metric = oracle.Metric(world, spectra)
-    metric.set_nuisance(oracle.nuisance(world, plan.sigma, False, []))
+    metric = oracle.Metric(world, spectra).beside(oracle.nuisance(world, plan.sigma, False, []))
     effect = hidden.draw(rng, "scale_factor", world)
     shift = metric.project(metric.whiten(hidden.sensor_shift(effect, world)))
     shift = metric.project(shift / np.linalg.norm(shift))  # the projection is symmetric: it may stand on either side
@@ -136,8 +135,9 @@ def test_what_a_late_schedule_explains_has_no_more_size_than_that_costs(late: tu
     plan = plans.plan(rng, kind="dtg", motion="positions", climate="steady")
     setup, _, _ = plans.stated_setup(rng, plan, 100.0)
     world = plans.world_of(rng, plan, setup, 100.0)
-    metric = oracle.Metric(world, plans.noise_of(rng, "dtg"))
-    metric.set_nuisance(oracle.nuisance(world, plan.sigma, False, [], late))
+    metric = oracle.Metric(world, plans.noise_of(rng, "dtg")).beside(
+        oracle.nuisance(world, plan.sigma, False, [], late)
+    )
     ends_s = np.array([end_s for turn in setup.turns for end_s in (turn.start_s, turn.end_s)])
     constant, growing = late
     if growing:  # a false clock makes forces smaller too, which no schedule does: left out
