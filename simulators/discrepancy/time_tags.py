@@ -116,7 +116,7 @@ def _found(scenes: Sequence[Scene]) -> TimeTags | None:
 
 @dataclass(frozen=True)
 class _LateEnds:
-    """Ends of turns at ``at_s`` that were late by ``late_s`` (n,), but those off the line; they scatter by ``sharp_s``."""
+    """Ends of turns at ``at_s`` that were late by ``late_s`` (n,), but those off the line, and their scatter."""
 
     at_s: Array
     late_s: Array
