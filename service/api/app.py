@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
+from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any
 
@@ -68,10 +69,17 @@ def _document(app: FastAPI, make: Callable[[], dict[str, Any]]) -> dict[str, Any
         assert app.openapi_schema is not None
         for path, methods in app.openapi_schema["paths"].items():
             for method, operation in methods.items():
+                _add_no_http(operation["responses"])
                 if roles.needed(method.upper(), path) is not None:
                     operation["responses"].update(_gate_responses())
     assert app.openapi_schema is not None
     return app.openapi_schema
+
+
+def _add_no_http(responses: dict[str, Any]) -> None:
+    """Add what the server answers before there is a request: its headers were no valid HTTP."""
+    entry = responses.setdefault("400", {"description": HTTPStatus.BAD_REQUEST.phrase, "content": {}})
+    entry["content"]["text/plain"] = {"schema": {"type": "string"}}
 
 
 def _gate_responses() -> dict[str, Any]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from typing import Any, cast
 
+import httpx
 import pytest
 import schemathesis
 from http_bench import serving, settings_for
@@ -41,6 +43,19 @@ def test_every_endpoint_keeps_to_its_document(operation: Any, mode: schemathesis
         case.call_and_validate(base_url=address, timeout=20)
 
     check()
+
+
+def test_what_is_no_http_is_refused_as_every_endpoint_says(address: str) -> None:
+    """By the server, before there is a request; a fuzzer's empty ``Content-Length`` found it in no document."""
+    url = httpx.URL(address)
+    with socket.create_connection((url.host, url.port or 80), timeout=20) as line:
+        line.sendall(b"GET /api/v1/status HTTP/1.1\r\nHost: here\r\nContent-Length:\r\n\r\n")
+        head = line.makefile("rb").read().partition(b"\r\n\r\n")[0].decode().lower()
+    assert head.startswith("http/1.1 400 ")
+    assert "content-type: text/plain" in head
+    for methods in DOCUMENT["paths"].values():
+        for operation in methods.values():
+            assert "text/plain" in operation["responses"]["400"]["content"]
 
 
 def test_no_endpoint_is_left_out() -> None:
