@@ -13,6 +13,7 @@ import operator
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +25,19 @@ from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, 
 from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.look import Look
-from simulators.discrepancy.rounding_errors import largest_lines
+from simulators.discrepancy.noise_instead import NoiseInstead, noise_instead
+from simulators.discrepancy.rounding_errors import NEAR_HZ, largest_lines
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.whitening import ROUNDED_AT, STATED, NoiseFit
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MARGIN = 5.5
+MARGIN = math.log(100.0)
 """Bayes factor [nats] beyond the penalty of looking that a name must have, or all names that tie with it together.
 
-Where nothing is hidden the mean Bayes factor of all that is looked at is 1, so that it is exp(MARGIN) once in 245
-recordings at most (Markov); as much again is left for noise that is not quite as it is modelled.
+Where nothing is hidden the mean Bayes factor of all that is looked at is 1, so that it is exp(MARGIN) once in a hundred
+recordings at most (Markov).
 """
 TIE = 3.0
 """Names whose fit is within so many nats of the best are one answer."""
@@ -47,6 +49,8 @@ _LEADERS = 12
 _REFINED = 12
 _SHARPENED = 3
 _PAIRS, _PAIRS_LOOKED_AT = 4, 400  # of names that are tried at once
+SLACK_OF_TWO = 3.0
+"""Nats that refining may still add to what two names promise, of which at least one mostly has no shape to refine."""
 _ORDERS = 2.0  # in which two names can be named
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
@@ -90,16 +94,19 @@ class Adopted:
     rivals: list[Scored] = field(default_factory=list)
     pairs: list[Together] = field(default_factory=list)
     """Two names each that tie with it, best first."""
+    instead: NoiseInstead | None = None
+    """Larger noise on its sensor that ties with it."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Outcome: what was adopted, the fit with it, the fit of the noise alone."""
+    """Outcome: what was adopted, the fit with it, the fit of the noise alone; ``left()``: what leads beside it all."""
 
     evidence: Evidence
     adopted: list[Adopted]
     fit: Fit
     bare: Fit
+    left: Callable[[], list[Scored]]
 
     def of_kind(self, kind: Kind) -> list[Adopted]:
         """Return what was adopted of one kind."""
@@ -147,7 +154,8 @@ class Searcher:
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self.fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted, _AT_LAST)
-        return Search(self.evidence, self._beside_others(adopted, current), current, bare)
+        left = partial(self.rank, current, adopted)
+        return Search(self.evidence, self._beside_others(adopted, current), current, bare, left)
 
     def _beside_others(self, adopted: Sequence[Hypothesis], current: Fit) -> list[Adopted]:
         """Return what each of the adopted gains when all others are there."""
@@ -180,11 +188,13 @@ class Searcher:
         pair = self._together(adopted, current)
         if pair is not None and (best is None or pair[0] > best.score - TIE):
             return pair[1:]
-        return ([*adopted, best.hypothesis], best.fit) if best is not None else self._swallowed(adopted, current)
+        if best is None:
+            return self._swallowed(adopted, current)
+        return self._for_curve(best, adopted, current) or ([*adopted, best.hypothesis], best.fit)
 
     def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
         scored = self.rank(current, adopted)
-        named = [s for s in scored if s.hypothesis.kind is Kind.NAMED]
+        named = [s for s in scored if s.hypothesis.kind is Kind.NAMED and not self._is_noise(s, current)]
         other = [s for s in scored if s.hypothesis.kind is Kind.REFERENCE]
         curves = [s for s in scored if s.hypothesis.kind is Kind.EMPIRICAL]
         best = _plainest(named)
@@ -196,12 +206,34 @@ class Searcher:
             named = sorted([*sharp, *named[_SHARPENED:]], key=lambda s: -s.score)
             best = max((best, named[0]), key=lambda s: s.score)
         certain = -math.inf if best is None else self._certain(best, named)
-        if curve is not None and curve.score > MARGIN + (_LIKE_IT * certain if certain > MARGIN else 0.0):
+        if (
+            curve is not None
+            and curve.score > MARGIN + (_LIKE_IT * certain if certain > MARGIN else 0.0)
+            and self.beyond_noise(curve, current) > MARGIN
+        ):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
                 return pair
             return curve
         return best if certain > MARGIN else None
+
+    def beyond_noise(self, one: Scored, current: Fit) -> float:
+        """Return the score of what acts on one sensor, held against larger noise with a name there if that is more.
+
+        A walk of a coefficient or two is as good a shift or drift, and neither is certain then.
+        """
+        noise = self.instead(one.hypothesis, current)
+        return one.score if noise is None else one.score - noise.nats
+
+    def _is_noise(self, one: Scored, current: Fit) -> bool:
+        """Whether a name is the worse explanation than larger noise, by much unless that is certain of itself."""
+        noise = self.instead(one.hypothesis, current) if one.score > 0.0 else None
+        return noise is not None and one.score < noise.nats - (0.0 if noise.certain else TIE)
+
+    def instead(self, one: Hypothesis, current: Fit) -> NoiseInstead | None:
+        """Return the larger noise that could stand in the place of what acts on one sensor; none of anything else."""
+        channels = self.channels(one)
+        return noise_instead(self.evidence, current, next(iter(channels))) if len(channels) == 1 else None
 
     def _certain(self, best: Scored, named: Sequence[Scored]) -> float:
         """Return the evidence that one of the names that tie with the best is there, whichever it is.
@@ -230,6 +262,29 @@ class Searcher:
                 if score > max(MARGIN, best[0] if best else 0.0):
                     best = score, both, fit
         return best
+
+    def _for_curve(
+        self, curve: Scored, adopted: Sequence[Hypothesis], current: Fit
+    ) -> tuple[list[Hypothesis], Fit] | None:
+        """Return two names that do as well as a curve, or as it and a name of its sensor that it mends; fit of all.
+
+        Where two hide on one sensor a single name of the wrong form may explain nearly all of both.
+        """
+        channels = self.channels(curve.hypothesis)
+        mended = [h for h in adopted if h.kind is Kind.NAMED and self.channels(h) == channels]
+        best: tuple[float, list[Hypothesis], Fit] | None = None
+        for one in (None, *mended):
+            rest = [h for h in adopted if h is not one]
+            without = current if one is None else self.fit_of(rest, current)
+            own = 0.0 if one is None else bayes_factor(current.value - without.value, one.freedom, self.places(one))
+            least = curve.score + own - TIE
+            look = Look(self.evidence, without, curve.fit.noise)
+            pool = [h for h in self.unlike({h.name for h in rest}) if self.channels(h) == channels]
+            for pair in self.pairs(pool, look, least - SLACK_OF_TWO):
+                score, both, fit = self.joint(pair, rest, without)
+                if score > least and (best is None or fit.value > best[0]):
+                    best = fit.value, both, fit
+        return None if best is None else best[1:]
 
     def joint(
         self, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit
@@ -402,7 +457,10 @@ class Searcher:
         return bayes_factor(gain, hypothesis.freedom, self.places(hypothesis))
 
     def _is_rounding(self, one: Scored) -> bool:
-        """Whether a line may be one of the rounding error, no larger than with half the noise the motion makes it."""
+        """Whether a line may be one of the rounding error.
+
+        It is no larger than the motion makes it with half the noise, or no evidence if noise is as large as beside it.
+        """
         h = one.hypothesis
         if h.effect != "sinusoid":
             return False
@@ -414,8 +472,19 @@ class Searcher:
             found = float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
             least = ROUNDED_AT[0] * min(found, noise.white or math.inf)
             self._rounding[column] = largest_lines(scene, column, noise.model_copy(update={"white": least}))
+        if bayes_factor(one.gain / self._beside(one), h.freedom, self.places(h)) < MARGIN:
+            return True
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         return size < float(np.interp(h.shape["frequency"], *self._rounding[column]))
+
+    def _beside(self, line: Scored) -> float:
+        """Return how many times the power of the noise model that beside a line is, where it is more."""
+        slot, fit = (0, CHANNELS.index(line.hypothesis.channel)), line.fit
+        basis = self.evidence.basis[slot]
+        hertz = np.arange(basis.n) / (2.0 * basis.n * basis.interval_s)
+        near = np.abs(hertz - line.hypothesis.shape["frequency"]) < NEAR_HZ
+        left = self.library.left(slot, fit.ids, fit.amplitude)[near]
+        return max(1.0, float(np.mean(left**2 / basis.each(fit.noise[slot].power)[near])))
 
     def _leaders(
         self, current: Fit, adopted: Sequence[Hypothesis], looks: Sequence[Look]

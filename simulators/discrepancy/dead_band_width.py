@@ -8,6 +8,7 @@ rounding that follows; of these, noise and width are found together. Rounding an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,14 +59,16 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> HalfWidth
     The mean over the likelihood and its rms about it, the likeliest noise; none where hardly a sample is silent.
     """
     column = CHANNELS.index(channel)
-    sigma = max(float(scene.noise_sigma[column]) for scene in scenes)
+    stated = getattr(scenes[0].model.noise, channel).white / math.sqrt(scenes[0].seen.interval_s)
+    found = max(float(scene.noise_sigma[column]) for scene in scenes)
+    sigma = max(found, stated)  # a band that silences most of a record leaves it little noise
     counted = [_counted(scene, column, about, sigma) for scene in scenes]
     inputs, readings, counts = (np.concatenate(part) for part in zip(*counted, strict=True))
     if counts[readings == 0.0].sum() < _FEWEST:
         return None
     step = max(getattr(scenes[0].model.noise, channel).quantisation / scenes[0].seen.interval_s, _FINEST * sigma)
     widths = np.geomspace(about / _WIDEST, about * _WIDEST, _WIDTHS)
-    noises = np.geomspace(sigma / _NOISIEST, sigma * _NOISIEST, _NOISES)
+    noises = np.geomspace(min(found, stated or found) / _NOISIEST, sigma * _NOISIEST, _NOISES)
     for _ in range(_PASSES):
         value = np.array([[_by_tails(inputs, readings, counts, step, n, w) for w in widths] for n in noises])
         weight, likely = np.exp(value - value.max()), value > value.max() - _SURE

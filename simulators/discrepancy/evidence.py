@@ -93,7 +93,7 @@ class Evidence:
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
         self._done_for: Fit | None = None
-        self._done: dict[Slot, object] = {}
+        self._done: dict[tuple[str, Slot], object] = {}
         self.inner: dict[Slot, InnerProducts] = {}
         self._weighed: dict[Slot, tuple[Products, NoiseFit, Array, Array]] = {}
         for slot in library.residual:
@@ -187,13 +187,13 @@ class Evidence:
         noise, _ = self._rounded[slot]
         return self.read_with(slot, noise.model_copy(update={"white": math.hypot(noise.white, more)}))
 
-    def once(self, fit: Fit, slot: Slot, work: Callable[[], T]) -> T:
+    def once(self, fit: Fit, what: tuple[str, Slot], work: Callable[[], T]) -> T:
         """Return what some work on a slot's part of a fit comes to, done once for the last fit that was asked for."""
         if self._done_for is not fit:
             self._done_for, self._done = fit, {}
-        if slot not in self._done:
-            self._done[slot] = work()
-        return cast("T", self._done[slot])
+        if what not in self._done:
+            self._done[what] = work()
+        return cast("T", self._done[what])
 
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]

@@ -7,6 +7,7 @@ shapes, when they are asked for.
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 _MANY = 64
 _NOTHING = 1e-15  # share of a column's power: those of turns and of their errors are 1e5 σ, and cancel
 _KEPT = 3  # sets of columns whose products are kept at hand
+_WEIGHTS = 4  # ... and weights, of which a step of the search uses two or three again and again
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,7 @@ class InnerProducts:
         self._late: dict[tuple[int, int], Array] = {}
         self._across: dict[int, Array] = {}
         self._at_hand: dict[tuple[int, ...], Products] = {}
+        self._weighted: deque[tuple[Array, tuple[Array, Array]]] = deque(maxlen=_WEIGHTS)
 
     def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> Array:
         """Return the Gram matrices (bins, m + 1, m + 1) of the residual and the columns."""
@@ -121,7 +124,12 @@ class InnerProducts:
 
     def weighted(self, weight: Array) -> tuple[Array, Array]:
         """Return Gram and products with the residual of the library's columns, summed over bins with a weight."""
-        return np.tensordot(weight, self.gram, 1), weight @ self.with_residual
+        for known, found in self._weighted:
+            if np.array_equal(known, weight):
+                return found
+        found = np.tensordot(weight, self.gram, 1), weight @ self.with_residual
+        self._weighted.append((weight, found))
+        return found
 
     def across(self, i: int, weight: Array) -> Array:
         """Return products (m,) of a late column with the library's, summed over bins with a weight."""

@@ -22,6 +22,7 @@ from inertial.documents import CHANNELS, BlockModel, ChannelNoise, Noise
 from simulators.discrepancy.candidates import Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.noise_instead import NoiseInstead
 from simulators.discrepancy.whitening import STATED
 from simulators.effects import effects, get_effect
 from simulators.effects.base import Effect, LinearEffect, Stage
@@ -114,21 +115,27 @@ def _plans(evidence: Evidence) -> tuple[_Plan, ...]:
     return (rest, *PLANS[1:])
 
 
-Question = tuple[Hypothesis, Sequence[Sequence[Hypothesis]]]
-"""A leader and its nearest rivals, of one name or of two that do it together."""
+@dataclass(frozen=True)
+class Question:
+    """A leader and its nearest rivals, of one name or of two that do it together, and larger noise if that ties."""
+
+    leader: Hypothesis
+    rivals: Sequence[Sequence[Hypothesis]]
+    instead: NoiseInstead | None
 
 
 def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list[list[Proposal]]:
     """Return for each question the recordings, the most telling between leader and rivals first."""
     scene = evidence.library.scenes[0]
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
-    names = {h.name for leader, rivals in questions for h in (leader, *itertools.chain(*rivals))}
+    names = {h.name for asked in questions for h in (asked.leader, *itertools.chain(*asked.rivals))}
     answers: list[list[Proposal]] = [[] for _ in questions]
     for plan in _plans(evidence) if questions else ():
         imagined = Evidence(Library([_imagined(scene, model, plan)], only=names))
-        for answer, (leader, rivals) in zip(answers, questions, strict=True):
+        for answer, asked in zip(answers, questions, strict=True):
+            leader = asked.leader
             amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
-            nats = _expected(imagined, leader, amplitude, rivals)
+            nats = _expected(imagined, asked, amplitude)
             answer.append(Proposal(plan.name, plan.text, f"{leader.effect} on {leader.channel}", nats))
     return [sorted(answer, key=lambda p: -p.expected_nats) for answer in answers]
 
@@ -218,23 +225,25 @@ def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
     return replace(imagined, measured=imagined.predicted.copy())
 
 
-def _expected(
-    evidence: Evidence, leader: Hypothesis, amplitude: Array, rivals: Sequence[Sequence[Hypothesis]]
-) -> float:
-    library = evidence.library
+def _expected(evidence: Evidence, asked: Question, amplitude: Array) -> float:
+    library, leader = evidence.library, asked.leader
     own = [h for h in library.hypotheses if h.name == leader.name]
     if not own:
         return 0.0
     wanted = min(own, key=lambda h: _shape_distance(h, leader))
     least = np.inf
     others: list[Sequence[Hypothesis]] = [()]
-    for names in {tuple(h.name for h in rival) for rival in rivals}:
+    for names in {tuple(h.name for h in rival) for rival in asked.rivals}:
         if leader.name not in names:  # counted from elsewhere, with a constant beside it: no recording tells that apart
             others += itertools.product(*([h for h in library.hypotheses if h.name == name] for name in names))
     power = {slot: evidence.power(slot) for slot in evidence.slots}
     for other in others:
         columns = [i for h in other for i in h.columns]
         least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], columns))
+    if asked.instead is not None:
+        slot = 0, CHANNELS.index(asked.instead.channel)
+        power[slot] = evidence.basis[slot].stated(asked.instead.noise, 0.0)
+        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], ()))
     return float(least)
 
 

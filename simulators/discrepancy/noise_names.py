@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,20 @@ class NoiseFinding:
 
 
 @dataclass(frozen=True)
+class LargerNoise:
+    """Larger noise in a slot: log-likelihood [nats] less the price of its terms; minus infinity where none is stated.
+
+    ``names``: of the one term that is enough, and of those that tie with it; ``certain``: whether its course alone,
+    without the mean, would have it named; ``noise``: what is stated with the terms.
+    """
+
+    value: float
+    names: tuple[str, ...]
+    certain: bool
+    noise: ChannelNoise
+
+
+@dataclass(frozen=True)
 class OtherNoise:
     """Noise on a channel that the named terms do not explain: what the wide family gains over them [nats], where."""
 
@@ -105,19 +120,27 @@ def name_noise(evidence: Evidence, fit: Fit, margin: float = MARGIN) -> NamedNoi
     return mount if mount.evidence_nats > block.evidence_nats + margin else block
 
 
-def value_of_named(evidence: Evidence, fit: Fit, slot: Slot) -> float:
-    """Return the log-likelihood [nats] of one slot in noise of which terms are larger than stated, less their price.
+def larger_noise(evidence: Evidence, fit: Fit, slot: Slot) -> LargerNoise:
+    """Return what noise of which terms are larger than stated makes of one slot's part of a fit."""
+    return evidence.once(fit, ("larger noise", slot), partial(_larger_noise, evidence, fit, slot))
 
-    Minus infinity where the model states no noise.
-    """
+
+def _larger_noise(evidence: Evidence, fit: Fit, slot: Slot) -> LargerNoise:
     if evidence.stated[slot] is None:
-        return -math.inf
+        return LargerNoise(-math.inf, (), False, ChannelNoise())
     power = {slot: _eased(evidence, fit, slot)}
     nothing = {slot: np.zeros((len(power[slot]), 0))}
     tails = max(evidence.scatter(slot), _tails(evidence, fit, slot))
     found, power, _ = _named(evidence, fit, power, nothing, _NONE, tails, 0.0)
     price = sum(one.gain - one.score for one in found)
-    return float(-0.5 * np.sum(evidence.basis[slot].counts * np.log(power[slot]) + fit.rss[slot] / power[slot])) - price
+    each = evidence.basis[slot].counts * np.log(power[slot]) + fit.rss[slot] / power[slot]
+    names = tuple(name for one in found for name in (one.effect, *one.ties)) if len(found) == 1 else ()
+    certain = any(one.score > MARGIN for one in found)
+    noise = getattr(evidence.library.scenes[slot[0]].model.noise, CHANNELS[slot[1]])
+    for one in found:
+        (term,) = TERMS[one.effect][1].model_fields_set
+        noise = noise.model_copy(update={term: math.hypot(getattr(noise, term), one.value)})
+    return LargerNoise(float(-0.5 * evidence.came[slot] @ each) - price, names, certain, noise)
 
 
 def _of_their_own(evidence: Evidence, fit: Fit, power: dict[Slot, Array], block: NamedNoise) -> dict[str, float]:

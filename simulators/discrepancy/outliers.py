@@ -63,7 +63,8 @@ def _wild(scene: Scene, column: int) -> tuple[NDArray[np.bool_], Array, float]:
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(off, 2, mode="edge"), 5)
     off = off - np.median(beside, axis=1)
     noise = getattr(scene.model.noise, CHANNELS[column])
-    spread = float(np.median(np.abs(off - np.median(off)))) * 1.4826
+    came = off[~scene.data.missing[:, column]]  # not what a dead band has silenced, which has no noise
+    spread = float(np.median(np.abs(came - np.median(came)))) * 1.4826 if came.size else 0.0
     sigma = max(float(scene.noise_sigma[column]), spread)
     size = np.abs(off) - _STEPS * noise.quantisation / scene.seen.interval_s
     around = np.maximum(np.roll(size, 1), np.roll(size, -1))

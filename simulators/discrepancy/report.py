@@ -25,12 +25,12 @@ from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but_one
 from simulators.discrepancy.lateness import as_late
 from simulators.discrepancy.mount_sway import angle_rad
-from simulators.discrepancy.next_recording import propose, propose_longer, propose_unseen
+from simulators.discrepancy.next_recording import Question, propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
-from simulators.discrepancy.rivals import find_rivals
+from simulators.discrepancy.rivals import find_rivals, names_instead
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck
 from simulators.discrepancy.time_tags import TimeTags, find_time_tags
@@ -308,6 +308,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
 def _confidence(adopted: Adopted) -> float:
     """Return the probability of this name among those that were looked at, and that it is there at all."""
     scores = [s.score for s in adopted.ties] + [pair.score for pair in adopted.pairs]
+    scores += [adopted.instead.nats] if adopted.instead is not None else []
     odds = sum(math.exp(min(score - adopted.score, 50.0)) for score in scores) + math.exp(-adopted.score)
     return 1.0 / (1.0 + odds)
 
@@ -315,6 +316,10 @@ def _confidence(adopted: Adopted) -> float:
 def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
     """Return what ties with a name: names, and then those that do only together with another, each once."""
     found = [_rival(s.hypothesis, adopted.score - s.score) for s in adopted.ties]
+    if adopted.instead is not None:
+        behind = adopted.score - adopted.instead.nats
+        channel = adopted.instead.channel
+        found += [{"effect": name, "channel": channel, "behind_nats": behind} for name in adopted.instead.names]
     known = {adopted.hypothesis.name, *(s.hypothesis.name for s in adopted.ties)}
     for pair in adopted.pairs:
         for h, other in (pair.hypotheses, pair.hypotheses[::-1]):
@@ -430,6 +435,7 @@ def _noise_finding(noise: NoiseFinding, search: Search) -> dict[str, Any]:
     before, after = math.sqrt(squares / max(count, 1.0)), rms(search, slots, search.fit)
     finding = _plain(noise.effect, noise.channel, values, noise.score, before, after)
     finding["alternatives"] = [{"effect": t, "channel": noise.channel, "behind_nats": 1.5} for t in noise.ties]
+    finding["alternatives"] += [_rival(h, behind) for h, behind in names_instead(search, noise.channel)]
     return finding
 
 
@@ -522,7 +528,7 @@ def _next(
     """
     evidence, fit = search.evidence, search.fit
     asked = [*named, *curves]
-    questions = [(a.hypothesis, _asked_of(a)) for a in asked]
+    questions = [Question(a.hypothesis, _asked_of(a), a.instead) for a in asked]
     answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]
     by_name = {a.hypothesis.name: answer for a, answer in zip(asked, answers, strict=True)}
     for finding in findings:
@@ -535,15 +541,17 @@ def _next(
         term = unexplained.terms[0]
         return [asdict(propose_longer(evidence, term["term"], term["channel"], float(term["evidence_nats"])))]
     if named:
-        return by_name[min(named, key=lambda a: (not (a.ties or a.pairs), a.score)).hypothesis.name]
+        return by_name[min(named, key=lambda a: (not (a.ties or a.pairs or a.instead), a.score)).hypothesis.name]
     return [asdict(proposal) for proposal in propose_unseen(evidence, fit)]
 
 
 def _asked_of(adopted: Adopted) -> list[tuple[Hypothesis, ...]]:
-    """Return what a next recording is to tell a name from: what ties with it, else its nearest rivals."""
+    """Return the names that a next recording is to tell one from: what ties with it, else its nearest rivals."""
     tied: list[tuple[Hypothesis, ...]] = [(s.hypothesis,) for s in adopted.ties]
     tied += [pair.hypotheses for pair in adopted.pairs]
-    return tied or [(s.hypothesis,) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
+    if tied or adopted.instead is not None:
+        return tied
+    return [(s.hypothesis,) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
 
 
 def _child(model: BlockModel, added: list[EffectEntry]) -> BlockModel:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from simulators.discrepancy.adopt import TIE, Adopted, Scored, Search, Searcher, Together
+from inertial.documents import CHANNELS
+from simulators.discrepancy.adopt import SLACK_OF_TWO, TIE, Adopted, Scored, Search, Searcher, Together
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
+from simulators.discrepancy.noise_instead import noise_instead
 
-_SLACK_OF_TWO = 3.0  # of two, of which at least one mostly has none
 _LISTED = 8
 
 
@@ -36,6 +37,17 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             entry.pairs = _pairs(searcher, own, rest, without)
+            instead = searcher.instead(h, without)
+            entry.instead = instead if instead is not None and instead.nats > own.score - TIE else None
+
+
+def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]]:
+    """Return the names that tie with larger noise of a channel, and how far behind it they are [nats]."""
+    column = CHANNELS.index(channel)
+    noise = noise_instead(search.evidence, search.fit, column).nats
+    alone = [s for s in search.left() if {c for _, c in search.evidence.touched(s.hypothesis.columns)} == {column}]
+    behind = [(s.hypothesis, noise - s.score) for s in alone if s.hypothesis.kind is Kind.NAMED and s.score > 0.0]
+    return [(h, nats) for h, nats in behind if 0.0 <= nats < TIE]
 
 
 def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:
@@ -49,7 +61,7 @@ def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without:
     pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
     mine = bayes_factor(look.gain(h), h.freedom, searcher.places(h))
     tied = []
-    for pair in searcher.pairs(pool, look, mine - TIE - _SLACK_OF_TWO):
+    for pair in searcher.pairs(pool, look, mine - TIE - SLACK_OF_TWO):
         score, both, fit = searcher.joint(pair, rest, without)
         if h.name in (pair[0].name, pair[1].name):
             score = max(score, own.score + fit.value - own.fit.value)  # the same in other words: the fit alone counts

@@ -16,7 +16,8 @@ from simulators.discrepancy.compare import Scene
 Array = NDArray[np.float64]
 
 _DRAWS = 40
-_NEAR_HZ = 2.0  # by how much a line of the rounding errors may be elsewhere in what was measured
+NEAR_HZ = 2.0
+"""By how much a line of the rounding errors may be elsewhere in what was measured."""
 
 
 def rounding_errors(scene: Scene, column: int, noise: ChannelNoise) -> Iterator[Array]:
@@ -43,5 +44,5 @@ def largest_lines(scene: Scene, column: int, noise: ChannelNoise) -> tuple[Array
         hertz = np.asarray(np.fft.rfftfreq(errors.size, scene.interval_s))
         lines = 2.0 / errors.size * np.abs(np.fft.rfft(errors))
         largest = np.maximum(largest, lines) if largest.size else lines
-    near = 2 * round(_NEAR_HZ / hertz[1]) + 1
+    near = 2 * round(NEAR_HZ / hertz[1]) + 1
     return hertz, np.asarray(maximum_filter1d(largest, near, mode="nearest"))

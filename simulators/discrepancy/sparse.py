@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from simulators.discrepancy.atoms import best_comb, best_line, best_sweep, levels, score_of
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
-from simulators.discrepancy.noise_names import value_of_named
+from simulators.discrepancy.noise_names import larger_noise
 from simulators.discrepancy.whitening import STATED, Basis, NoiseFit
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Sparse:
 def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
     """Return the slots whose noise, other than stated, is better taken for a few steps and lines."""
     slots = [slot for slot in evidence.slots if fit.noise[slot].level != STATED]
-    found = [evidence.once(fit, slot, partial(_of_slot, evidence, fit, slot)) for slot in slots]
+    found = [evidence.once(fit, ("sparse", slot), partial(_of_slot, evidence, fit, slot)) for slot in slots]
     return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz or one.sweep_hz)]
 
 
@@ -66,7 +66,7 @@ class _Trial:
         self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
-        self._noise_alone = max(evidence.slot_value(slot, fit), value_of_named(evidence, fit, slot))
+        self._noise_alone = max(evidence.slot_value(slot, fit), larger_noise(evidence, fit, slot).value)
         self._time_s = np.asarray((np.arange(self.basis.n) + 0.5) * self.basis.interval_s)
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 
