@@ -54,6 +54,8 @@ SLACK_OF_TWO = 3.0
 _ORDERS = 2.0  # in which two names can be named
 _FEW = 2  # steps and lines together that are still names
 _BENT = 3.0  # share of its promise that a chord of the right size may add
+_RETUNED = 4  # names that are tried with the shapes of others refined beside them, besides the best
+_FAR = {"time_constant", "half_width", "limit", "reference", "nominal"}  # shapes that hang on all of a record
 _RANKED = 3  # answers that are kept for when they are asked for again
 _SAME_GAIN = 1e-6  # share of a gain by which that of the same column may be off
 _STEPS_TRIED = 3  # of a channel
@@ -183,7 +185,9 @@ class Searcher:
     def _with_new(self, current: Fit, adopted: Sequence[Hypothesis]) -> tuple[list[Hypothesis], Fit]:
         """Return what is adopted and what is next, a hypothesis, two names or what noise has swallowed; their fit."""
         best = self._next(current, adopted)
-        if best is not None and best.hypothesis.kind is not Kind.EMPIRICAL:
+        if best is not None and best.hypothesis.kind is Kind.NAMED:
+            return self._retuned(best, adopted, current)
+        if best is not None and best.hypothesis.kind is Kind.REFERENCE:
             return [*adopted, best.hypothesis], best.fit
         pair = self._together(adopted, current)
         if pair is not None and (best is None or pair[0] > best.score - TIE):
@@ -242,6 +246,52 @@ class Searcher:
         """
         ties = [s for s in named if s is not best and s.score > best.score - TIE]
         return best.score + math.log1p(sum(math.exp(s.score - best.score) for s in ties))
+
+    def _retuned(self, best: Scored, adopted: Sequence[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
+        """Return what is adopted with the best name, or with one next to it if the shapes of others make it better.
+
+        Alone, one of two names of a sensor has taken a shape that does some of the other's work.
+        """
+        if not self.shaped_beside(best.hypothesis, adopted):
+            return [*adopted, best.hypothesis], best.fit
+        tried = [self.retuned(s, adopted, current) for s in (best, *self.next_to(best, adopted, current))]
+        most = max(score for score, _, _ in tried)
+        _, both, fit = max((one for one in tried if one[0] > most - SAME), key=lambda one: _plainness(one[1][-1]))
+        return both, fit
+
+    def next_to(self, one: Scored, adopted: Sequence[Hypothesis], current: Fit) -> list[Scored]:
+        """Return the names of one's sensor that promise most where the shapes of those adopted are left open."""
+        channels = self.channels(one.hypothesis)
+        other = [self._of_other_shape(h) for h in adopted if self.channels(h) & channels]
+        loose = self.fit_of([*adopted, *(h for h in other if h is not None)], current)
+        look = [Look(self.evidence, loose, one.fit.noise)]
+        taken = {one.hypothesis.name, *(h.name for h in adopted)}
+        pool = [h for h in self.unlike(taken) if self.channels(h) == channels]
+        best: dict[tuple[str, str], Hypothesis] = {}
+        for h in sorted(pool, key=lambda h: -self._promise(h, look) - SAME * _plainness(h)):
+            best.setdefault(h.name, h)
+        scored = [self.score(h, current, adopted) for h in list(best.values())[:_RETUNED]]
+        return [s for s in scored if s is not None]
+
+    def _of_other_shape(self, one: Hypothesis) -> Hypothesis | None:
+        """Return a name at another shape, beside which it may be of any between; none if it has no such shape."""
+        name = next((name for name in one.shape if name in _FAR), None)
+        if name is None or one.unit_amplitude or one.kind is not Kind.NAMED:
+            return None
+        value = one.shape[name]
+        shape = {**one.shape, name: value + _WIDTH[name] if name in ("reference", "nominal") else 1.3 * value}
+        return self.library.trial(one.effect, one.channel, shape, one.places)
+
+    def shaped_beside(self, one: Hypothesis, adopted: Sequence[Hypothesis]) -> bool:
+        """Whether names of the same sensor have shapes that hang on all of a record."""
+        mine = self.channels(one)
+        return any(_FAR & set(h.shape) and self.channels(h) & mine for h in adopted if h.kind is Kind.NAMED)
+
+    def retuned(self, one: Scored, adopted: Sequence[Hypothesis], current: Fit) -> tuple[float, list[Hypothesis], Fit]:
+        """Return the score of a name with the shapes of those adopted refined beside it; all of them; their fit."""
+        both, fit = self.polish([*adopted, one.hypothesis], one.fit)
+        h = both[-1]
+        return bayes_factor(fit.value - current.value, h.freedom, self.places(h)), both, fit
 
     def _together(self, adopted: Sequence[Hypothesis], current: Fit) -> tuple[float, list[Hypothesis], Fit] | None:
         """Return two names that only together explain what a wide noise model takes for noise: their score, fit of all.

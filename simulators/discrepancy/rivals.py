@@ -33,12 +33,31 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
         own = searcher.score(h, without, rest)
         assert own is not None  # or it had not been adopted
         ranked = [s for s in searcher.rank_against(own, without, rest) if s.hypothesis.name != h.name]
+        if h.kind is Kind.NAMED and searcher.shaped_beside(h, rest):
+            ranked = _likelier(ranked, _retuned(searcher, own, rest, without))
         entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             entry.pairs = _pairs(searcher, own, rest, without)
             instead = searcher.instead(h, without)
             entry.instead = instead if instead is not None and instead.nats > own.score - TIE else None
+
+
+def _likelier(ranked: Sequence[Scored], retuned: Sequence[Scored]) -> list[Scored]:
+    """Return what is ranked and what was retuned, best first, each name once."""
+    best: dict[tuple[str, str], Scored] = {}
+    for one in sorted([*ranked, *retuned], key=lambda s: -s.score):
+        best.setdefault(one.hypothesis.name, one)
+    return list(best.values())
+
+
+def _retuned(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Scored]:
+    """Return the names next to one with the shapes of others of the sensor refined beside each.
+
+    As found they are those that go best with it.
+    """
+    tried = [searcher.retuned(s, rest, without) for s in searcher.next_to(own, rest, without)]
+    return [Scored(both[-1], fit, fit.value - without.value, score) for score, both, fit in tried]
 
 
 def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]]:

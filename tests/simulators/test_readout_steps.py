@@ -188,6 +188,17 @@ def test_a_line_where_the_motion_makes_none_is_named_though_smaller_than_roundin
     assert abs(found["value"] - hertz) < 4.5 * found["sigma"]
 
 
+def test_the_largest_of_many_lines_beside_each_other_is_none(tmp_path: Path) -> None:
+    """Noise of a third of the stated jolts a readout in steps less: its errors are a higher hump than is reckoned with.
+
+    The largest in it was named, 31 nats above the noise as fitted and none above what was beside it.
+    """
+    case = hidden_case(90618, 68, tmp_path)
+    assert case.truth["effects"] == []
+    report = discrepancy([case.recording], case.model)
+    assert report.findings == [], report.document["text"]
+
+
 def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -> None:
     """What shakes the other sensor has no mean of nought over two seconds: the blocks without it tell."""
     case = recording(None, 37)

@@ -106,6 +106,22 @@ def test_two_steps_at_the_ends_of_a_turn_are_what_the_turn_does(start_s: float, 
     assert report.verdict == ("named" if names else "unknown")
 
 
+@pytest.mark.parametrize(("seed", "number"), [(90617, 105), (90618, 485)])
+def test_two_names_of_one_sensor_are_no_curve_and_no_third_name_with_one(
+    seed: int, number: int, tmp_path: Path
+) -> None:
+    """Curves of second and third order on one gyro: a limit and a wave, or a product, explained them as well."""
+    case = hidden_case(seed, number, tmp_path)
+    report = discrepancy([case.recording], case.model)
+    told = {
+        (one["effect"], one["channel"])
+        for found in report.findings
+        for one in (found, *(other for other in found["alternatives"] if other["behind_nats"] < 3.0))
+    }
+    assert {(one["effect"], one["channel"]) for one in case.truth["effects"]} <= told
+    assert not report.document["remaining"]["empirical"]
+
+
 def test_names_that_are_one_and_the_same_at_rest_take_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine of them are a constant; what is next in line must not be crowded out."""
     monkeypatch.setattr(adopt, "_LEADERS", 3)
