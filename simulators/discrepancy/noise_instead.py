@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from inertial.documents import CHANNELS, ChannelNoise
+from simulators.discrepancy.candidates import Hypothesis
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.noise_names import larger_noise
 
@@ -33,3 +34,9 @@ def noise_instead(evidence: Evidence, fit: Fit, channel: int) -> NoiseInstead:
     names = dict.fromkeys(name for one in found.values() for name in one.names)
     certain, noise = any(one.certain for one in found.values()), next(iter(found.values())).noise
     return NoiseInstead(CHANNELS[channel], max(0.0, nats), tuple(names), certain, noise)
+
+
+def instead_of(evidence: Evidence, one: Hypothesis, fit: Fit) -> NoiseInstead | None:
+    """Return the larger noise that could stand in the place of what acts on one sensor; none of anything else."""
+    channels = {channel for _, channel in evidence.touched(one.columns)}
+    return noise_instead(evidence, fit, channels.pop()) if len(channels) == 1 else None

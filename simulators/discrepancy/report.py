@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
-from simulators.discrepancy.adopt import MARGIN, TIE, Adopted, Search, Searcher
+from simulators.discrepancy.adopt import Adopted, Search, Searcher
 from simulators.discrepancy.candidates import REWIRED, Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import find_clipped, without_limit
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
@@ -24,6 +24,7 @@ from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but_one
 from simulators.discrepancy.lateness import as_late
+from simulators.discrepancy.margins import MARGIN, TIE
 from simulators.discrepancy.mount_sway import angle_rad
 from simulators.discrepancy.next_recording import Question, propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise

@@ -10,11 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.adopt import SLACK_OF_TWO, TIE, Adopted, Scored, Search, Searcher, Together
+from simulators.discrepancy.adopt import Adopted, Search
 from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
-from simulators.discrepancy.noise_instead import noise_instead
+from simulators.discrepancy.margins import TIE
+from simulators.discrepancy.noise_instead import instead_of, noise_instead
+from simulators.discrepancy.ranking import Ranking, Scored
+from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
+from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, joint, pairs
 
 _LISTED = 8
 
@@ -24,22 +28,22 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
 
     ``tell`` is called with the share done and a word on what is being done.
     """
-    searcher = Searcher(search.evidence)
+    ranking = Ranking(search.evidence)
     for place, entry in enumerate(asked):
         h = entry.hypothesis
         tell(place / len(asked), f"looking for rivals of {h.effect}")
         rest = [other.hypothesis for other in search.adopted if other is not entry]
-        without = searcher.fit_of(rest, search.fit)
-        own = searcher.score(h, without, rest)
+        without = ranking.fit_of(rest, search.fit)
+        own = ranking.score(h, without, rest)
         assert own is not None  # or it had not been adopted
-        ranked = [s for s in searcher.rank_against(own, without, rest) if s.hypothesis.name != h.name]
-        if h.kind is Kind.NAMED and searcher.shaped_beside(h, rest):
-            ranked = _likelier(ranked, _retuned(searcher, own, rest, without))
+        ranked = [s for s in ranking.rank_against(own, without, rest) if s.hypothesis.name != h.name]
+        if h.kind is Kind.NAMED and shaped_beside(ranking, h, rest):
+            ranked = _likelier(ranked, _retuned(ranking, own, rest, without))
         entry.rivals = ranked[:_LISTED]
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
-            entry.pairs = _pairs(searcher, own, rest, without)
-            instead = searcher.instead(h, without)
+            entry.pairs = _pairs(ranking, own, rest, without)
+            instead = instead_of(search.evidence, h, without)
             entry.instead = instead if instead is not None and instead.nats > own.score - TIE else None
 
 
@@ -51,12 +55,12 @@ def _likelier(ranked: Sequence[Scored], retuned: Sequence[Scored]) -> list[Score
     return list(best.values())
 
 
-def _retuned(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Scored]:
+def _retuned(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Scored]:
     """Return the names next to one with the shapes of others of the sensor refined beside each.
 
     As found they are those that go best with it.
     """
-    tried = [searcher.retuned(s, rest, without) for s in searcher.next_to(own, rest, without)]
+    tried = [retuned(ranking, s, rest, without) for s in next_to(ranking, own, rest, without)]
     return [Scored(both[-1], fit, fit.value - without.value, score) for score, both, fit in tried]
 
 
@@ -69,19 +73,19 @@ def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]
     return [(h, nats) for h, nats in behind if 0.0 <= nats < TIE]
 
 
-def _pairs(searcher: Searcher, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:
+def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:
     """Return the two names each that tie with one, best first."""
     h = own.hypothesis
-    channels = searcher.channels(h)
+    channels = ranking.channels(h)
     if len(channels) != 1:
         return []
-    look = Look(searcher.evidence, without, own.fit.noise)
-    pool = [other for other in searcher.unlike({o.name for o in rest}) if searcher.channels(other) == channels]
+    look = Look(ranking.evidence, without, own.fit.noise)
+    pool = [other for other in ranking.unlike({o.name for o in rest}) if ranking.channels(other) == channels]
     pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
-    mine = bayes_factor(look.gain(h), h.freedom, searcher.places(h))
+    mine = bayes_factor(look.gain(h), h.freedom, ranking.places(h))
     tied = []
-    for pair in searcher.pairs(pool, look, mine - TIE - SLACK_OF_TWO):
-        score, both, fit = searcher.joint(pair, rest, without)
+    for pair in pairs(ranking, pool, look, mine - TIE - SLACK_OF_TWO):
+        score, both, fit = joint(ranking, pair, rest, without)
         if h.name in (pair[0].name, pair[1].name):
             score = max(score, own.score + fit.value - own.fit.value)  # the same in other words: the fit alone counts
         if score > own.score - TIE:

@@ -12,12 +12,13 @@ from closed_form import RATE_HZ, WHITE, Truth, model, recording
 from hidden_case import hidden_case
 
 from inertial.documents import CHANNELS, BlockModel
-from simulators.discrepancy.adopt import Scored, Search, Searcher
+from simulators.discrepancy.adopt import Search, Searcher
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.next_recording import Question, propose
 from simulators.discrepancy.noise_instead import noise_instead
+from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.report import discrepancy
 
 GYRO_X = CHANNELS.index("gyro_x")
@@ -105,7 +106,7 @@ def test_what_was_lost_is_no_evidence_for_noise_either(tmp_path: Path) -> None:
 
 def test_a_recording_tells_a_name_from_larger_noise_by_less_than_from_none() -> None:
     evidence, search = searched(walking, model(), moving=False)
-    ranked = Searcher(evidence).rank(search.bare, [])
+    ranked = Ranking(evidence).rank(search.bare, [])
     drift: Scored = next(one for one in ranked if one.hypothesis.name == ("drift", "gyro_x"))
     instead = noise_instead(evidence, search.bare, GYRO_X)
     alone, beside = propose(

@@ -11,11 +11,11 @@ import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 from hidden_case import hidden_case
 
-from simulators.discrepancy import adopt
-from simulators.discrepancy.adopt import MARGIN
+from simulators.discrepancy import ranking
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
+from simulators.discrepancy.margins import MARGIN
 from simulators.discrepancy.report import discrepancy
 
 ACCEL_SIGMA = WHITE["accel"] * np.sqrt(RATE_HZ)
@@ -124,7 +124,7 @@ def test_two_names_of_one_sensor_are_no_curve_and_no_third_name_with_one(
 
 def test_names_that_are_one_and_the_same_at_rest_take_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine of them are a constant; what is next in line must not be crowded out."""
-    monkeypatch.setattr(adopt, "_LEADERS", 3)
+    monkeypatch.setattr(ranking, "_LEADERS", 3)
 
     def change(_: Truth, readings: np.ndarray) -> None:
         readings[:, 5] += 1.5 * WHITE["gyro"]

@@ -1,0 +1,128 @@
+"""Shapes of hypotheses: refined to the best nearby, and trials at others."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from inertial.documents import CHANNELS
+from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
+from simulators.discrepancy.dead_band_width import half_width
+from simulators.discrepancy.evidence import Evidence, Fit
+from simulators.discrepancy.look import Look
+from simulators.discrepancy.margins import MARGIN
+
+OF_ALL = frozenset({"time_constant", "half_width", "limit", "reference", "nominal"})
+"""Shapes that hang on all of a record."""
+_WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0}
+_NEARBY = 10.0  # samples that a step may be off at first
+_NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
+_ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
+
+
+class Shapes:
+    """Of the hypotheses of one library."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence, self.library = evidence, evidence.library
+
+    def refine(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
+        """Return the hypothesis at its best shape nearby."""
+        if hypothesis.kind is not Kind.NAMED:
+            return hypothesis
+        if hypothesis.chord:
+            return self._chord(hypothesis, current, look)
+        names = [name for name in hypothesis.shape if name in _ZOOMS]
+        if len(names) != 1 or len(hypothesis.shape) != 1:
+            return hypothesis
+        if hypothesis.effect == "dead_band":
+            return self._as_samples_say(self._zoomed(hypothesis, look), look)
+        return self._zoomed(hypothesis, look)
+
+    def other(self, one: Hypothesis) -> Hypothesis | None:
+        """Return a name at another shape, beside which it may be of any between; none if it has no such shape."""
+        name = next((name for name in one.shape if name in OF_ALL), None)
+        if name is None or one.unit_amplitude or one.kind is not Kind.NAMED:
+            return None
+        value = one.shape[name]
+        shape = {**one.shape, name: value + _WIDTH[name] if name in ("reference", "nominal") else 1.3 * value}
+        return self.library.trial(one.effect, one.channel, shape, one.places)
+
+    def step(self, slot: Slot, first: int) -> Hypothesis | None:
+        """Return a step before an analysed sample."""
+        scene = self.library.scenes[slot[0]]
+        shape = {"time": float(scene.data.edges_s[first * scene.group])}
+        return self.library.trial("bias_step", CHANNELS[slot[1]], shape, 200.0)
+
+    def line(self, slot: Slot, hertz: float) -> Hypothesis | None:
+        """Return a line."""
+        places = 0.5 * self.evidence.basis[slot].n
+        return self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": hertz}, places)
+
+    def _as_samples_say(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
+        """Return a dead band in the noise that its own samples show, where that explains more of the means."""
+        gain = look.gain(hypothesis)
+        if gain < MARGIN or hypothesis.channel in self.library.met:
+            return hypothesis
+        read = half_width(self.library.scenes, hypothesis.channel, hypothesis.shape["half_width"])
+        if read is None:
+            return hypothesis
+        self.library.met[hypothesis.channel] = read.noise
+        shape = {"half_width": read.value}
+        trial = self.library.trial(hypothesis.effect, hypothesis.channel, shape, hypothesis.places)
+        finer = None if trial is None else self._zoomed(trial, look)
+        if finer is not None and look.gain(finer) > gain:
+            return finer
+        del self.library.met[hypothesis.channel]
+        return hypothesis
+
+    def _zoomed(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
+        """Return the hypothesis at the best value nearby of the one number that its shape has."""
+        (name,) = hypothesis.shape
+        middle = hypothesis.shape[name]
+        relative = name in ("time_constant", "half_width", "limit")
+        width = self._width(name)
+        best, value = hypothesis, look.gain(hypothesis)
+        places = hypothesis.places
+        if name in USUAL and is_usual(hypothesis.shape):
+            places *= FITTED_PLACES
+            value += math.log(FITTED_PLACES)
+        for _ in range(_ZOOMS[name]):
+            sides = [middle * math.exp(x) if relative else middle + x for x in (-width, width)]
+            sides = [at for at in sides if name != "time_constant" or at <= self.library.longest_s]
+            made = [self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, places) for at in sides]
+            trials = [trial for trial in made if trial is not None]
+            for trial, gain in zip(trials, look.gains(trials), strict=True):
+                if gain > value:
+                    best, value = trial, float(gain)
+                else:
+                    self.library.forget(trial)
+            middle = best.shape[name]
+            width *= 0.55
+        return best
+
+    def _width(self, name: str) -> float:
+        """Return how far off a shape may be at first: a time constant's or a limit's logarithm, any other itself."""
+        if name == "time":
+            return _NEARBY * self.library.scenes[0].interval_s
+        if name == "frequency":  # that of a spectrum is good for a line of some ten σ
+            return _NEAR_LINE / self.library.longest_s
+        return _WIDTH[name]
+
+    def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
+        """Take the columns as chords to the amplitudes they are found to have."""
+        largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
+        for _ in range(3):
+            fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
+            found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
+            sizes = np.where(np.abs(found) < 1e-9, 1e-9, np.clip(found, -largest, largest))
+            known = np.array(hypothesis.chord)
+            if np.max(np.abs(sizes - known)) < 0.02 * np.max(np.abs(known)) or np.max(np.abs(found)) < 1e-9:
+                break
+            at = tuple(sizes.tolist())
+            trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, at, hypothesis.shape)
+            if trial is None or look.gain(trial) < look.gain(hypothesis) - 1.0:
+                break
+            hypothesis = trial
+        return hypothesis

@@ -1,0 +1,113 @@
+"""Two names of one sensor at once, of which each alone explains little, or something else explains both nearly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
+from simulators.discrepancy.evidence import Fit, bayes_factor
+from simulators.discrepancy.look import Look
+from simulators.discrepancy.margins import MARGIN, TIE
+from simulators.discrepancy.ranking import Ranking, Scored
+from simulators.discrepancy.whitening import STATED
+
+SLACK_OF_TWO = 3.0
+"""Nats that refining may still add to what two names promise, of which at least one mostly has no shape to refine."""
+_PAIRS, _LOOKED_AT = 4, 400
+_ORDERS = 2.0  # in which two names can be named
+
+
+@dataclass(frozen=True)
+class Together:
+    """Two names of one sensor, shapes refined, and their Bayes factor [nats] less the penalty of looking for two."""
+
+    hypotheses: tuple[Hypothesis, Hypothesis]
+    score: float
+
+
+def together(
+    ranking: Ranking, adopted: Sequence[Hypothesis], current: Fit
+) -> tuple[float, list[Hypothesis], Fit] | None:
+    """Return two names that only together explain what a wide noise model takes for noise: their score, fit of all.
+
+    Each alone leaves so much that the noise stays wide, in which it has gained next to nothing. Beside the score
+    stands what is adopted with them, for the shapes of the others may have changed.
+    """
+    wide = {slot[1]: slot for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
+    if not wide:
+        return None
+    look = Look(ranking.evidence, current, ranking.quiet(current))
+    pool = ranking.unlike({h.name for h in adopted})
+    best: tuple[float, list[Hypothesis], Fit] | None = None
+    for channel, slot in wide.items():
+        for pair in pairs(ranking, [h for h in pool if ranking.channels(h) == {channel}], look, MARGIN):
+            timed = [_timed(ranking, h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
+            score, both, fit = joint(ranking, timed, adopted, current)
+            if score > max(MARGIN, best[0] if best else 0.0):
+                best = score, both, fit
+    return best
+
+
+def in_place_of_curve(
+    ranking: Ranking, curve: Scored, adopted: Sequence[Hypothesis], current: Fit
+) -> tuple[list[Hypothesis], Fit] | None:
+    """Return two names that do as well as a curve, or as it and a name of its sensor that it mends; fit of all.
+
+    Where two hide on one sensor a single name of the wrong form may explain nearly all of both.
+    """
+    channels = ranking.channels(curve.hypothesis)
+    mended = [h for h in adopted if h.kind is Kind.NAMED and ranking.channels(h) == channels]
+    best: tuple[float, list[Hypothesis], Fit] | None = None
+    for one in (None, *mended):
+        rest = [h for h in adopted if h is not one]
+        without = current if one is None else ranking.fit_of(rest, current)
+        own = 0.0 if one is None else bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
+        least = curve.score + own - TIE
+        look = Look(ranking.evidence, without, curve.fit.noise)
+        pool = [h for h in ranking.unlike({h.name for h in rest}) if ranking.channels(h) == channels]
+        for pair in pairs(ranking, pool, look, least - SLACK_OF_TWO):
+            score, both, fit = joint(ranking, pair, rest, without)
+            if score > least and (best is None or fit.value > best[0]):
+                best = fit.value, both, fit
+    return None if best is None else best[1:]
+
+
+def joint(
+    ranking: Ranking, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit
+) -> tuple[float, list[Hypothesis], Fit]:
+    """Return the score of two names beside those adopted; all of them, shapes refined; their fit."""
+    both, fit = ranking.polish([*adopted, *pair], ranking.fit_of([*adopted, *pair], current))
+    pair = both[len(adopted) :]
+    count, places = sum(h.freedom for h in pair), math.prod(ranking.places(h) for h in pair) / _ORDERS
+    return bayes_factor(fit.value - current.value, count, places), both, fit
+
+
+def pairs(ranking: Ranking, pool: Sequence[Hypothesis], look: Look, least: float) -> list[list[Hypothesis]]:
+    """Return the two names each that explain most together and promise more than ``least``, a few."""
+    gains = look.pairs([h.columns[0] for h in pool])
+    places = np.log([ranking.places(h) for h in pool])
+    scores = gains - np.log(np.maximum(gains, 1.0)) - 1.0 - places[:, None] - places + math.log(_ORDERS)
+    scores = np.triu(scores, 1)
+    found: dict[tuple[tuple[str, str], ...], list[Hypothesis]] = {}
+    for place in np.argsort(-scores, axis=None)[:_LOOKED_AT]:
+        i, j = divmod(int(place), len(pool))
+        names = (pool[i].name, pool[j].name)
+        if scores[i, j] > least and names[0] != names[1] and names not in found:
+            found[names] = [pool[i], pool[j]]
+        if len(found) == _PAIRS:
+            break
+    return list(found.values())
+
+
+def _timed(ranking: Ranking, one: Hypothesis, slot: Slot, others: Sequence[Hypothesis], current: Fit) -> Hypothesis:
+    """Return a step at its best time beside others in quiet noise; any other name as it is."""
+    if one.effect != "bias_step":
+        return one
+    fit = ranking.fit_of(others, current)
+    power = ranking.evidence.quiet(slot, fit.rss[slot]).power
+    first, _ = ranking.evidence.steps(slot).best(ranking.score_left(slot, fit, power), power)
+    return ranking.shapes.step(slot, first) or one
