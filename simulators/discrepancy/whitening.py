@@ -266,9 +266,6 @@ def fit_noise(
         power = floor + columns @ variances
         cost = penalty[FLICKER if level == SWAY and not sways else level]
         value = _value(rss, freedom, power) - cost
-        if level == SWAY and best is not None and value > best.value:
-            power = _at_one_time(basis, columns, rss, freedom, floor, variances)
-            value = _value(rss, freedom, power) - cost
         if best is None or value > best.value:
             best = NoiseFit(power, value, level, cost)
     assert best is not None
@@ -277,22 +274,6 @@ def fit_noise(
         value = _value(rss, freedom, power)
         if value >= best.value:
             best = NoiseFit(power, value, STATED, 0.0)
-    return best
-
-
-def _at_one_time(basis: Basis, columns: Array, rss: Array, freedom: Array, floor: Array, variances: Array) -> Array:
-    """Return the power (b,) of noise beside a sway that forgets within one time, somewhere between two of the family's.
-
-    A mount has one; a mixture of all would take in what is slow beside it.
-    """
-    best, likeliest = floor + columns @ variances, -math.inf
-    for first in range(basis.fast, columns.shape[1] - 1):
-        few = np.ascontiguousarray(columns[:, [*range(basis.fast), first, first + 1]])
-        sizes = np.array([*variances[: basis.fast], *np.maximum(variances[first : first + 2], 1e-2 * variances.max())])
-        climb(few, rss, freedom, floor, sizes, 150, 1)
-        power = floor + few @ sizes
-        if (value := _value(rss, freedom, power)) > likeliest:
-            best, likeliest = power, value
     return best
 
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Change, Truth, model, recording
 from scipy.signal import lfilter
+from scipy.stats import binom
 
 from simulators.discrepancy.report import Report, discrepancy
 
 GYRO_SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
 ANGLE_RAD, CORRELATION_S = 20e-6, 0.3
+RECORDINGS = 10
 
 
 def angle(rng: np.random.Generator, count: int, correlation_s: float = CORRELATION_S) -> np.ndarray:
@@ -42,18 +44,24 @@ def swaying(report: Report) -> list[dict[str, object]]:
     return [one for one in report.document["reference"] if one["error"] == "mount_sway"]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_swaying_mount_is_found_with_its_size_and_no_noise_of_the_block(seed: int) -> None:
-    """Of its angle some 3·T/(4τ) values are independent, and of each kind of figure 4σ of that are allowed."""
-    report = discrepancy([recording(sway(seed), 300 + seed, moving=False)], model())
-    assert report.verdict == "none", report.document["text"]
-    (found,) = swaying(report)
-    off = 4.0 / math.sqrt(2.0 * 3.0 * DURATION_S / (4.0 * CORRELATION_S))
-    angle_rad, correlation_s = found["values"]
-    assert angle_rad == pytest.approx(ANGLE_RAD, rel=off)
-    assert correlation_s == pytest.approx(CORRELATION_S, rel=off)
-    assert "the mount sways" in report.document["text"]
-    assert report.model.effects == model().effects
+def test_a_swaying_mount_is_found_with_its_size_and_no_noise_of_the_block() -> None:
+    """Of its angle some 3·T/(4τ) values are independent, and of each kind of figure 4σ of that are allowed.
+
+    Names where there are none: 1 % of RECORDINGS, 99.9 % of the binomial.
+    """
+    off, named = 4.0 / math.sqrt(2.0 * 3.0 * DURATION_S / (4.0 * CORRELATION_S)), 0
+    for seed in range(RECORDINGS):
+        report = discrepancy([recording(sway(seed), 300 + seed, moving=False)], model())
+        (found,) = swaying(report)
+        angle_rad, correlation_s = found["values"]
+        assert angle_rad == pytest.approx(ANGLE_RAD, rel=off)
+        assert correlation_s == pytest.approx(CORRELATION_S, rel=off)
+        assert "the mount sways" in report.document["text"]
+        if report.verdict == "none":
+            assert report.model.effects == model().effects
+        else:
+            named += 1
+    assert named <= binom.ppf(0.999, RECORDINGS, 0.01)
 
 
 @pytest.mark.parametrize("correlation_s", [0.2, 0.45, 0.75, 1.6])
