@@ -21,12 +21,12 @@ from simulators.discrepancy.whitening import FREE_SHARE
 
 Array = NDArray[np.float64]
 
-_CHANCE = 1e-3  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
+_CHANCE = 1e-5  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
 _SHORTEST_RUN = 3
 _SHORT_RUN = 6
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _NEXT = 10  # samples next to a run, and as many again as it has
-_ASTRAY = 5.0  # by how many times its uncertainty a run's sum is off what its neighbours say
+_ASTRAY = 5.5  # by how many times its uncertainty a run's sum is off what its neighbours say
 _NEAR_SHARE = 0.8  # ... of that, what its nearest neighbours say, who are few
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _ROUNDED = 1.0 / 6.0  # variance of a sum in steps whose ends are rounded [step²]
