@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,14 @@ def score_of(left: Array, power: Array, basis: Basis, spread: Array) -> Array:
     return np.asarray(idct(basis.each(1.0 / power) * left, norm="ortho")) / spread
 
 
+class Step(NamedTuple):
+    """A step before sample ``first``: what it gains [nats], and the share of a record at which it would do as well."""
+
+    first: int
+    gain: float
+    alike: float
+
+
 class Steps:
     """Steps in one slot: the power of each in every bin, made once."""
 
@@ -44,12 +53,12 @@ class Steps:
             powers.append(np.add.reduceat(power, basis.bounds[:-1]))
         self._powers = np.array(powers)
 
-    def best(self, score: Array, power: Array) -> tuple[int, float]:
-        """Return the first sample of the step that explains most, and what it gains [nats]."""
+    def best(self, score: Array, power: Array) -> Step:
+        """Return the step that explains most."""
         return self.several(score, power, 1)[0]
 
-    def several(self, score: Array, power: Array, count: int) -> list[tuple[int, float]]:
-        """Return so many steps, as :meth:`best` does, no two of them near each other, best first."""
+    def several(self, score: Array, power: Array, count: int) -> list[Step]:
+        """Return so many steps, no two of them near each other, best first."""
         n = len(score)
         where = np.arange(n)
         sizes = np.interp(where, self._places, self._powers @ (1.0 / power))
@@ -58,7 +67,7 @@ class Steps:
         found = []
         for _ in range(count):
             best = int(np.argmax(gain))
-            found.append((best, float(gain[best])))
+            found.append(Step(best, float(gain[best]), float(np.mean(np.exp(gain - gain[best])))))
             gain[np.abs(where - best) < _APART * n] = 0.0
         return found
 

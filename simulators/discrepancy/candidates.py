@@ -49,8 +49,10 @@ AWAY_V = 0.05
 """... and a steady supply off the nominal one; one that moves by less is steady."""
 USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
-FITTED_PLACES = 30.0
+FITTED_PLACES = 100.0
 """What any other costs, of which there are as many as the data can tell apart: it stands for a bias as well."""
+STEP_PLACES = 200.0
+"""Times at which a step could be, where it shows in one alone."""
 REWIRED = frozenset({"sign_flip", "axis_swap"})
 """Mistakes of wiring that have no size."""
 SMALL = {"azimuth_error": 1e-3, "latitude_error": 1e-3, "gravity_error": 1e-3}
@@ -341,9 +343,9 @@ class Library:
                 shapes = self.shapes(effect, channel)
                 if self._plain:
                     shapes = shapes[len(shapes) // 2 :][:1]
+                usual = STEP_PLACES if effect.name == "bias_step" else float(sum(map(is_usual, shapes)))
                 for shape in shapes:
-                    places = max(float(len(shapes)), _PLACES.get(effect.name, 1.0))
-                    self.trial(effect.name, channel, shape, places if is_usual(shape) else places * FITTED_PLACES)
+                    self.trial(effect.name, channel, shape, usual if is_usual(shape) else FITTED_PLACES)
         elif not self._wanted(effect):
             return
         elif effect.name in REWIRED:
@@ -570,7 +572,6 @@ _REFERENCE = {
     "turn_motion": ("timing", "angle", "axis"),
     "lever_arm": ("lever",),
 }
-_PLACES = {"bias_step": 200.0}
 _PARALLEL = 1e-9  # share of a column by which another may be off a multiple of it, for rounding
 
 

@@ -53,24 +53,26 @@ class InnerProducts:
         reach = {i: _reach(part, bounds) for i, part in parts.items()}
         ids = sorted(parts, key=lambda i: -reach[i])  # the widest bands first
         self.place = {i: place for place, i in enumerate(ids)}
-        """Of the library's columns that touch the slot, where they are in :attr:`gram`."""
-        gram = self._binned(parts, reach)
-        self.gram = np.ascontiguousarray(gram[:, 1:, 1:])
-        self.with_residual = np.ascontiguousarray(gram[:, 1:, 0])
-        self.residual2 = gram[:, 0, 0]
+        """Of the library's columns that touch the slot, which rows and columns of the Gram matrices are theirs."""
+        self._lower = np.tril_indices(len(parts))
+        self._gram, self.with_residual, self.residual2 = self._binned(parts, reach)
         self._late: dict[tuple[int, int], Array] = {}
         self._across: dict[int, Array] = {}
         self._at_hand: dict[tuple[int, ...], Products] = {}
         self._weighted: deque[tuple[Array, tuple[Array, Array]]] = deque(maxlen=_WEIGHTS)
 
-    def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> Array:
-        """Return the Gram matrices (bins, m + 1, m + 1) of the residual and the columns."""
+    def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> tuple[Array, Array, Array]:
+        """Return the Gram matrices' lower triangles (bins, m (m + 1) / 2), the products with the residual, and its own.
+
+        Half of a matrix is all of it, and it is memory that a sum over bins waits for.
+        """
         bins, n = len(self._bounds) - 1, len(self._residual)
         matrix = np.empty((n, len(parts) + 1))
         matrix[:, 0] = self._residual
         for i, place in self.place.items():
             matrix[:, place + 1] = parts[i]
-        gram = np.zeros((bins, len(parts) + 1, len(parts) + 1))
+        gram, with_residual = np.zeros((bins, len(self._lower[0]))), np.zeros((bins, len(parts)))
+        residual2 = np.zeros(bins)
         reaches = np.array([bins] + [reach[i] for i in self.place])
         for b, (first, end) in enumerate(itertools.pairwise(self._bounds)):
             count = int(np.sum(reaches > b))
@@ -79,8 +81,11 @@ class InnerProducts:
             # ten-thousandth as well beforehand as they show, so that a delay is told from them in the last digits.
             if end - first >= _MANY and not self._exact:
                 rows = rows.astype(np.float32)
-            gram[b, :count, :count] = rows.T @ rows
-        return gram
+            products = rows.T @ rows
+            residual2[b], with_residual[b, : count - 1] = products[0, 0], products[1:, 0]
+            within = slice(count * (count - 1) // 2)
+            gram[b, within] = products[1:, 1:][self._lower[0][within], self._lower[1][within]]
+        return gram, with_residual, residual2
 
     def of(self, ids: Sequence[int]) -> Products:
         """Return the products of columns with each other and with the residual."""
@@ -106,7 +111,9 @@ class InnerProducts:
         for place in range(begin, count):
             if ids[place] < self._base:
                 local = self.place[ids[place]]
-                gram[:, place, first] = gram[:, first, place] = self.gram[:, local, among]
+                high, low = np.maximum(among, local), np.minimum(among, local)
+                products = self._gram[:, high * (high + 1) // 2 + low]
+                gram[:, place, first] = gram[:, first, place] = products
                 with_residual[:, place] = self.with_residual[:, local]
         for place in (place for place, i in enumerate(ids) if i >= self._base):
             with_residual[:, place] = self._product(ids[place], -1)
@@ -127,7 +134,9 @@ class InnerProducts:
         for known, found in self._weighted:
             if np.array_equal(known, weight):
                 return found
-        found = np.tensordot(weight, self.gram, 1), weight @ self.with_residual
+        gram, (rows, columns) = np.empty((len(self.place), len(self.place))), self._lower
+        gram[rows, columns] = gram[columns, rows] = weight @ self._gram
+        found = gram, weight @ self.with_residual
         self._weighted.append((weight, found))
         return found
 

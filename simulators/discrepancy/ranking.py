@@ -263,9 +263,9 @@ class Ranking:
             for slot in self.evidence.slots:
                 basis, power = self.evidence.basis[slot], look.noise[slot].power
                 score = self.score_left(slot, current, power)
-                for first, gain in self.evidence.steps(slot).several(score, power, _STEPS_TRIED):
-                    if gain > _STEP_NATS:
-                        late.append(self.shapes.step(slot, first))
+                for step in self.evidence.steps(slot).several(score, power, _STEPS_TRIED):
+                    if step.gain > _STEP_NATS:
+                        late.append(self.shapes.step(slot, step.first, step.alike))
                 hertz, gain = best_line(score, power, basis)
                 if gain > math.log(basis.n) + _LINE_NATS:
                     late.append(self.shapes.line(slot, hertz))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.candidates import FITTED_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
+from simulators.discrepancy.candidates import FITTED_PLACES, STEP_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
 from simulators.discrepancy.dead_band_width import half_width
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.look import Look
@@ -36,9 +37,8 @@ class Shapes:
         names = [name for name in hypothesis.shape if name in _ZOOMS]
         if len(names) != 1 or len(hypothesis.shape) != 1:
             return hypothesis
-        if hypothesis.effect == "dead_band":
-            return self._as_samples_say(self._zoomed(hypothesis, look), look)
-        return self._zoomed(hypothesis, look)
+        finer = self._zoomed(hypothesis, look)
+        return self._as_samples_say(finer, look) if hypothesis.effect == "dead_band" else self._as_likely(finer, look)
 
     def other(self, one: Hypothesis) -> Hypothesis | None:
         """Return a name at another shape, beside which it may be of any between; none if it has no such shape."""
@@ -49,16 +49,30 @@ class Shapes:
         shape = {**one.shape, name: value + _WIDTH[name] if name in ("reference", "nominal") else 1.3 * value}
         return self.library.trial(one.effect, one.channel, shape, one.places)
 
-    def step(self, slot: Slot, first: int) -> Hypothesis | None:
-        """Return a step before an analysed sample."""
+    def step(self, slot: Slot, first: int, alike: float = 0.0) -> Hypothesis | None:
+        """Return a step before an analysed sample, which would do as well at such a share of a record."""
         scene = self.library.scenes[slot[0]]
         shape = {"time": float(scene.data.edges_s[first * scene.group])}
-        return self.library.trial("bias_step", CHANNELS[slot[1]], shape, 200.0)
+        places = min(STEP_PLACES, 1.0 / max(alike, 1e-9))
+        return self.library.trial("bias_step", CHANNELS[slot[1]], shape, places)
 
     def line(self, slot: Slot, hertz: float) -> Hypothesis | None:
         """Return a line."""
         places = 0.5 * self.evidence.basis[slot].n
         return self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": hertz}, places)
+
+    def _as_likely(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
+        """Return a hypothesis as one of fewer places where others of its grid do as well.
+
+        The marginal likelihood of a shape of which nothing is known is the mean over all of them.
+        """
+        (name,) = hypothesis.shape
+        if name not in ("time_constant", *USUAL) or (name in USUAL and not is_usual(hypothesis.shape)):
+            return hypothesis
+        grid = [h for h in self.library.hypotheses if h.name == hypothesis.name and is_usual(h.shape)]
+        gains = look.gains(grid)
+        alike = float(np.sum(np.exp(gains - gains.max())))
+        return replace(hypothesis, places=max(len(grid) / alike, 1.0))
 
     def _as_samples_say(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
         """Return a dead band in the noise that its own samples show, where that explains more of the means."""
@@ -86,8 +100,8 @@ class Shapes:
         best, value = hypothesis, look.gain(hypothesis)
         places = hypothesis.places
         if name in USUAL and is_usual(hypothesis.shape):
-            places *= FITTED_PLACES
-            value += math.log(FITTED_PLACES)
+            value += math.log(FITTED_PLACES / places)
+            places = FITTED_PLACES
         for _ in range(_ZOOMS[name]):
             sides = [middle * math.exp(x) if relative else middle + x for x in (-width, width)]
             sides = [at for at in sides if name != "time_constant" or at <= self.library.longest_s]

@@ -123,7 +123,7 @@ def _one_by_one(trial: _Trial) -> Sparse:
     best = trial.found(left, quiet, steps, [], lines)
     while columns.shape[1] < _MOST and len(steps) + len(lines) - len(best.steps) - len(best.lines_hz) < _PATIENCE:
         score = score_of(left, quiet.power, trial.basis, trial.spread)
-        first, step_gain = places.best(score, quiet.power)
+        first, step_gain, _ = places.best(score, quiet.power)
         hertz, line_gain = best_line(score, quiet.power, trial.basis)
         gained = step_gain - trial.step_cost(1, math.inf, quiet), line_gain - trial.line_cost
         if max(gained) < 0.0:

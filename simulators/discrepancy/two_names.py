@@ -109,5 +109,5 @@ def _timed(ranking: Ranking, one: Hypothesis, slot: Slot, others: Sequence[Hypot
         return one
     fit = ranking.fit_of(others, current)
     power = ranking.evidence.quiet(slot, fit.rss[slot]).power
-    first, _ = ranking.evidence.steps(slot).best(ranking.score_left(slot, fit, power), power)
-    return ranking.shapes.step(slot, first) or one
+    step = ranking.evidence.steps(slot).best(ranking.score_left(slot, fit, power), power)
+    return ranking.shapes.step(slot, step.first, step.alike) or one
