@@ -18,7 +18,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.margins import MARGIN, TIE
-from simulators.discrepancy.noise_instead import NoiseInstead, instead_of
+from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
@@ -46,8 +46,8 @@ class Adopted:
     rivals: list[Scored] = field(default_factory=list)
     pairs: list[Together] = field(default_factory=list)
     """Two names each that tie with it, best first."""
-    instead: NoiseInstead | None = None
-    """Larger noise on its sensor that ties with it."""
+    instead: tuple[NoiseInstead, float] | None = None
+    """Larger noise on its sensor that ties with it, and how far behind it is [nats]."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Searcher:
         if (
             curve is not None
             and curve.score > MARGIN + (_LIKE_IT * certain if certain > MARGIN else 0.0)
-            and self._beyond_noise(curve, current) > MARGIN
+            and beyond_noise(self.evidence, curve, current)[0] > MARGIN
         ):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
@@ -170,13 +170,10 @@ class Searcher:
 
         A walk of a coefficient or two is as good a shift or drift: where neither is certain, both are told.
         """
-        noise = instead_of(self.evidence, one.hypothesis, current) if one.score > 0.0 else None
-        return noise is not None and one.score < noise.nats - (0.0 if noise.certain else TIE)
-
-    def _beyond_noise(self, curve: Scored, current: Fit) -> float:
-        """Return the evidence of a curve held against larger noise with a name."""
-        noise = instead_of(self.evidence, curve.hypothesis, current)
-        return curve.score if noise is None else curve.score - noise.nats
+        if one.score <= 0.0:
+            return False
+        beyond, noise = beyond_noise(self.evidence, one, current)
+        return noise is not None and beyond < (0.0 if noise.certain else -TIE)
 
     def _certain(self, best: Scored, named: Sequence[Scored]) -> float:
         """Return the evidence that one of the names that tie with the best is there, whichever it is.

@@ -7,6 +7,7 @@ columns and its residual. So a noise model can be changed, or a candidate tried,
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
@@ -32,6 +33,7 @@ RIDGE = 1e-14
 _SETTLED = 1e-6  # share of itself by which noise may change from round to round and is found
 _MOVED = 8.0  # χ² in a slot by which its noise is to be fitted anew
 _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to be other
+_OF_LATE = 4  # fits
 _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _NOTHING = 1e-3  # σ of one channel's data below which it is not there
@@ -92,8 +94,7 @@ class Evidence:
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
-        self._done_for: Fit | None = None
-        self._done: dict[tuple[str, Slot], object] = {}
+        self._done: deque[tuple[Fit, dict[tuple[str, Slot], object]]] = deque(maxlen=_OF_LATE)
         self.inner: dict[Slot, InnerProducts] = {}
         self._weighed: dict[Slot, tuple[Products, NoiseFit, Array, Array]] = {}
         for slot in library.residual:
@@ -188,12 +189,14 @@ class Evidence:
         return self.read_with(slot, noise.model_copy(update={"white": math.hypot(noise.white, more)}))
 
     def once(self, fit: Fit, what: tuple[str, Slot], work: Callable[[], T]) -> T:
-        """Return what some work on a slot's part of a fit comes to, done once for the last fit that was asked for."""
-        if self._done_for is not fit:
-            self._done_for, self._done = fit, {}
-        if what not in self._done:
-            self._done[what] = work()
-        return cast("T", self._done[what])
+        """Return what some work on a slot's part of a fit comes to, done once for the fits asked for of late."""
+        done = next((known for of, known in self._done if of is fit), None)
+        if done is None:
+            done = {}
+            self._done.append((fit, done))
+        if what not in done:
+            done[what] = work()
+        return cast("T", done[what])
 
     def _gather(self, slot: Slot) -> None:
         scene = self.library.scenes[slot[0]]

@@ -8,6 +8,7 @@ from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Hypothesis
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.noise_names import larger_noise
+from simulators.discrepancy.ranking import Scored
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,18 @@ def noise_instead(evidence: Evidence, fit: Fit, channel: int) -> NoiseInstead:
     names = dict.fromkeys(name for one in found.values() for name in one.names)
     certain, noise = any(one.certain for one in found.values()), next(iter(found.values())).noise
     return NoiseInstead(CHANNELS[channel], max(0.0, nats), tuple(names), certain, noise)
+
+
+def beyond_noise(evidence: Evidence, one: Scored, current: Fit) -> tuple[float, NoiseInstead | None]:
+    """Return the score of a hypothesis held against larger noise with a name in its place, and that noise.
+
+    Beside the hypothesis there may be larger noise as well, by the same name for the same price.
+    """
+    noise = instead_of(evidence, one.hypothesis, current)
+    if noise is None or noise.nats == 0.0:
+        return one.score, noise
+    beside = instead_of(evidence, one.hypothesis, one.fit)
+    return one.score - noise.nats + (0.0 if beside is None else beside.nats), noise
 
 
 def instead_of(evidence: Evidence, one: Hypothesis, fit: Fit) -> NoiseInstead | None:

@@ -309,7 +309,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
 def _confidence(adopted: Adopted) -> float:
     """Return the probability of this name among those that were looked at, and that it is there at all."""
     scores = [s.score for s in adopted.ties] + [pair.score for pair in adopted.pairs]
-    scores += [adopted.instead.nats] if adopted.instead is not None else []
+    scores += [adopted.score - adopted.instead[1]] if adopted.instead is not None else []
     odds = sum(math.exp(min(score - adopted.score, 50.0)) for score in scores) + math.exp(-adopted.score)
     return 1.0 / (1.0 + odds)
 
@@ -318,9 +318,8 @@ def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
     """Return what ties with a name: names, and then those that do only together with another, each once."""
     found = [_rival(s.hypothesis, adopted.score - s.score) for s in adopted.ties]
     if adopted.instead is not None:
-        behind = adopted.score - adopted.instead.nats
-        channel = adopted.instead.channel
-        found += [{"effect": name, "channel": channel, "behind_nats": behind} for name in adopted.instead.names]
+        noise, behind = adopted.instead
+        found += [{"effect": name, "channel": noise.channel, "behind_nats": behind} for name in noise.names]
     known = {adopted.hypothesis.name, *(s.hypothesis.name for s in adopted.ties)}
     for pair in adopted.pairs:
         for h, other in (pair.hypotheses, pair.hypotheses[::-1]):
@@ -529,7 +528,7 @@ def _next(
     """
     evidence, fit = search.evidence, search.fit
     asked = [*named, *curves]
-    questions = [Question(a.hypothesis, _asked_of(a), a.instead) for a in asked]
+    questions = [Question(a.hypothesis, _asked_of(a), a.instead[0] if a.instead else None) for a in asked]
     answers = [[asdict(p) for p in answer] for answer in propose(evidence, fit, questions)]
     by_name = {a.hypothesis.name: answer for a, answer in zip(asked, answers, strict=True)}
     for finding in findings:

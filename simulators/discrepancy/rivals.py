@@ -15,10 +15,11 @@ from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
-from simulators.discrepancy.noise_instead import instead_of, noise_instead
+from simulators.discrepancy.noise_instead import beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
 from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, joint, pairs
+from simulators.discrepancy.whitening import STATED
 
 _LISTED = 8
 
@@ -43,8 +44,8 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
         if h.kind is Kind.NAMED:
             entry.ties = [s for s in ranked if s.hypothesis.kind is Kind.NAMED and s.score > own.score - TIE]
             entry.pairs = _pairs(ranking, own, rest, without)
-            instead = instead_of(search.evidence, h, without)
-            entry.instead = instead if instead is not None and instead.nats > own.score - TIE else None
+            beyond, noise = beyond_noise(search.evidence, own, without)
+            entry.instead = (noise, beyond) if noise is not None and noise.names and beyond < TIE else None
 
 
 def _likelier(ranked: Sequence[Scored], retuned: Sequence[Scored]) -> list[Scored]:
@@ -65,12 +66,16 @@ def _retuned(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without:
 
 
 def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]]:
-    """Return the names that tie with larger noise of a channel, and how far behind it they are [nats]."""
-    column = CHANNELS.index(channel)
-    noise = noise_instead(search.evidence, search.fit, column).nats
-    alone = [s for s in search.left() if {c for _, c in search.evidence.touched(s.hypothesis.columns)} == {column}]
-    behind = [(s.hypothesis, noise - s.score) for s in alone if s.hypothesis.kind is Kind.NAMED and s.score > 0.0]
-    return [(h, nats) for h, nats in behind if 0.0 <= nats < TIE]
+    """Return the names that leave a channel no larger noise and tie with it, and how far behind it they are [nats]."""
+    evidence, column = search.evidence, CHANNELS.index(channel)
+    slots = [slot for slot in evidence.slots if slot[1] == column]
+    found = []
+    for one in search.left():
+        h = one.hypothesis
+        alone = h.kind is Kind.NAMED and evidence.touched(h.columns) <= set(slots)
+        if alone and one.score > 0.0 and all(one.fit.noise[slot].level == STATED for slot in slots):
+            found.append((h, -beyond_noise(evidence, one, search.fit)[0]))
+    return [(h, behind) for h, behind in found if behind < TIE]
 
 
 def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:

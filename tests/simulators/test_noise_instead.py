@@ -118,3 +118,16 @@ def test_a_recording_tells_a_name_from_larger_noise_by_less_than_from_none() -> 
     none = replace(instead, noise=model().noise.gyro_x)
     (same,) = propose(evidence, drift.fit, [Question(drift.hypothesis, [], none)])
     assert {one.name: one.expected_nats for one in same} == pytest.approx(quiet, rel=1e-3)
+
+
+def test_a_line_beside_a_walk_is_held_against_no_more_than_the_walk_alone() -> None:
+    """What larger noise saves by its name, seven nats, it saves beside a line of six as well."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        walking(true, readings)
+        readings[:, 3] += 3.0 * WALK * np.sin(2.0 * np.pi * true["t"] / 20.0)
+
+    report = discrepancy([recording(change, 112, moving=False)], model())
+    found = {(one["effect"], one["channel"]) for one in report.findings}
+    assert ("sinusoid", "gyro_x") in found, report.document["text"]
+    assert found & {("rate_random_walk", "gyro_x"), ("bias_instability", "gyro_x")}
