@@ -17,7 +17,7 @@ from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.next_recording import Question, propose
-from simulators.discrepancy.noise_instead import noise_instead
+from simulators.discrepancy.noise_instead import beyond_noise, noise_instead
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.report import discrepancy
 
@@ -127,7 +127,10 @@ def test_a_line_beside_a_walk_is_held_against_no_more_than_the_walk_alone() -> N
         walking(true, readings)
         readings[:, 3] += 3.0 * WALK * np.sin(2.0 * np.pi * true["t"] / 20.0)
 
-    report = discrepancy([recording(change, 112, moving=False)], model())
-    found = {(one["effect"], one["channel"]) for one in report.findings}
-    assert ("sinusoid", "gyro_x") in found, report.document["text"]
-    assert found & {("rate_random_walk", "gyro_x"), ("bias_instability", "gyro_x")}
+    evidence = Evidence(Library([compare(recording(change, 112, moving=False), model())]))
+    bare = evidence.fit([])
+    line = next(one for one in Ranking(evidence).rank(bare, []) if one.hypothesis.name == ("sinusoid", "gyro_x"))
+    beyond, noise = beyond_noise(evidence, line, bare)
+    assert noise is not None
+    assert 4.0 < line.score < noise.nats
+    assert beyond == pytest.approx(line.score, abs=1.0)
