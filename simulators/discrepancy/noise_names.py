@@ -64,6 +64,8 @@ class NoiseFinding:
 class LargerNoise:
     """Larger noise in a slot: log-likelihood [nats] less the price of its terms; minus infinity where none is stated.
 
+    Where the model leaves the size of its noise free, it is larger than the others of the proportions that it gives.
+
     ``names``: of the one term that is enough, and of those that tie with it; ``certain``: whether its course alone,
     without the mean, would have it named; ``noise``: what is stated with the terms.
     """
@@ -126,9 +128,14 @@ def larger_noise(evidence: Evidence, fit: Fit, slot: Slot) -> LargerNoise:
 
 
 def _larger_noise(evidence: Evidence, fit: Fit, slot: Slot) -> LargerNoise:
-    if evidence.stated[slot] is None:
-        return LargerNoise(-math.inf, (), False, ChannelNoise())
-    power = {slot: _eased(evidence, fit, slot)}
+    noise, shape = getattr(evidence.library.scenes[slot[0]].model.noise, CHANNELS[slot[1]]), evidence.basis[slot].shape
+    if evidence.stated[slot] is not None:
+        power = {slot: _eased(evidence, fit, slot)}
+    elif shape is not None:
+        power = {slot: evidence.quiet(slot, fit.rss[slot]).power}
+        noise = _times(noise, math.sqrt(float(np.median(power[slot] / shape))))
+    else:
+        return LargerNoise(-math.inf, (), False, noise)
     nothing = {slot: np.zeros((len(power[slot]), 0))}
     tails = max(evidence.scatter(slot), _tails(evidence, fit, slot))
     found, power, _ = _named(evidence, fit, power, nothing, _NONE, tails, 0.0)
@@ -136,11 +143,16 @@ def _larger_noise(evidence: Evidence, fit: Fit, slot: Slot) -> LargerNoise:
     each = evidence.basis[slot].counts * np.log(power[slot]) + fit.rss[slot] / power[slot]
     names = tuple(name for one in found for name in (one.effect, *one.ties)) if len(found) == 1 else ()
     certain = any(one.score > MARGIN for one in found)
-    noise = getattr(evidence.library.scenes[slot[0]].model.noise, CHANNELS[slot[1]])
     for one in found:
         (term,) = TERMS[one.effect][1].model_fields_set
         noise = noise.model_copy(update={term: math.hypot(getattr(noise, term), one.value)})
     return LargerNoise(float(-0.5 * evidence.came[slot] @ each) - price, names, certain, noise)
+
+
+def _times(noise: ChannelNoise, factor: float) -> ChannelNoise:
+    """Return noise so many times as large in proportion, read in the same steps."""
+    sizes = {term: factor * getattr(noise, term) for term in ("white", "flicker", "random_walk")}
+    return noise.model_copy(update=sizes)
 
 
 def _of_their_own(evidence: Evidence, fit: Fit, power: dict[Slot, Array], block: NamedNoise) -> dict[str, float]:

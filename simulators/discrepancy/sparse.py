@@ -66,7 +66,9 @@ class _Trial:
         self.evidence, self.slot, self.basis = evidence, slot, evidence.basis[slot]
         self.spread = evidence.library.spread[slot]
         self.whole = evidence.library.left(slot, fit.ids, fit.amplitude)
-        self._noise_alone = max(evidence.slot_value(slot, fit), larger_noise(evidence, fit, slot).value)
+        self._noise_alone = evidence.slot_value(slot, fit)
+        if evidence.stated[slot] is not None:
+            self._noise_alone = max(self._noise_alone, larger_noise(evidence, fit, slot).value)
         self._time_s = np.asarray((np.arange(self.basis.n) + 0.5) * self.basis.interval_s)
         self.line_cost = math.log(self.basis.n) + _LINE_COST
 

@@ -59,10 +59,19 @@ def test_a_walk_is_as_large_and_as_certain_as_it_was_made() -> None:
     assert noise_instead(evidence, search.bare, GYRO_X + 1).nats < 3.0
 
 
-def test_a_model_that_leaves_its_noise_free_has_none_that_is_too_large() -> None:
+def test_of_a_model_that_leaves_its_noise_free_noise_of_other_proportions_is_a_rival_and_no_finding() -> None:
     believed = model()
     believed = believed.model_copy(update={"noise": believed.noise.model_copy(update={"free": True})})
     evidence, search = searched(walking, believed, moving=False)
+    found = noise_instead(evidence, search.bare, GYRO_X)
+    assert found.certain
+    assert "rate_random_walk" in found.names
+    assert 0.8 * WHITE["gyro"] < found.noise.white < 1.2 * WHITE["gyro"]
+    assert discrepancy([recording(walking, 111, moving=False)], believed).findings == []
+
+
+def test_a_model_that_says_nothing_of_its_noise_has_none_that_is_too_large() -> None:
+    evidence, search = searched(walking, model(free=True), moving=False)
     found = noise_instead(evidence, search.bare, GYRO_X)
     assert (found.nats, found.names, found.certain) == (0.0, (), False)
 
