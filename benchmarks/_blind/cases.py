@@ -15,7 +15,7 @@ from benchmarks._blind.hidden import Effect
 from benchmarks._blind.motion import Setup, add_sway
 from benchmarks._blind.noise import Spectrum, quantise, sway
 from benchmarks._blind.plans import Plan
-from benchmarks._blind.world import CHANNELS, index
+from benchmarks._blind.world import CHANNELS, World, index
 
 FAMILIES = ("reference", "gauss_markov", "heavy_tails", "noise_level", "near_copy", "gaps")
 """Where the prototype failed; ``plain`` is none of them."""
@@ -357,14 +357,19 @@ class _Draft:
         if effect.name == "latency":
             delay = effect.parameters["delay"]
             beside = self.metric.beside(self._nuisance((delay, 0.0)))
-            return beside.size(hidden.delayed(effect, self.world) - self.world.inputs)
+            still = self._unshaken()
+            return beside.size(hidden.delayed(effect, still) - still.inputs)
         error = effect.parameters["error"]
         # The wrong clock's samples begin where they do; those of a table that was late would begin so much before.
         return self.metric.beside(self._nuisance((0.0, -error))).size(self._clock_shift(error))
 
     def _clock_shift(self, error: float) -> np.ndarray:
-        fast = replace(self.world, setup=replace(self.world.setup, shakes=()))
+        fast = self._unshaken()
         return fast.inputs / (1 + error) - fast.inputs_of(fast.setup, fast.edges * (1 + error))
+
+    def _unshaken(self) -> World:
+        """The world without its vibrations: of a course that nobody knows nobody knows how late it is."""
+        return replace(self.world, setup=replace(self.world.setup, shakes=()))
 
     def _odd(self) -> tuple[np.ndarray | None, dict[str, Any]]:
         """A strange effect on one channel, of the wanted d, most of it beyond any library name."""
