@@ -288,6 +288,10 @@ class Evidence:
         """Return the slots that columns act on."""
         return {slot for i in ids for slot in self.library.columns[i].parts}
 
+    def channels(self, ids: Sequence[int]) -> set[int]:
+        """Return the channels that columns act on, in whichever recording."""
+        return {channel for _, channel in self.touched(ids)}
+
     def fit(self, ids: Sequence[int], start: Fit | None = None, fixed: Sequence[int] = ()) -> Fit:
         """Fit columns and noise together.
 

@@ -51,5 +51,5 @@ def beyond_noise(evidence: Evidence, one: Scored, current: Fit) -> tuple[float, 
 
 def instead_of(evidence: Evidence, one: Hypothesis, fit: Fit) -> NoiseInstead | None:
     """Return the larger noise that could stand in the place of what acts on one sensor; none of anything else."""
-    channels = {channel for _, channel in evidence.touched(one.columns)}
+    channels = evidence.channels(one.columns)
     return noise_instead(evidence, fit, channels.pop()) if len(channels) == 1 else None

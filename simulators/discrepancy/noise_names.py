@@ -62,12 +62,11 @@ class NoiseFinding:
 
 @dataclass(frozen=True)
 class LargerNoise:
-    """Larger noise in a slot: log-likelihood [nats] less the price of its terms; minus infinity where none is stated.
+    """Noise of which terms are larger than stated, or of a model that leaves its size free than in its proportions.
 
-    Where the model leaves the size of its noise free, it is larger than the others of the proportions that it gives.
-
-    ``names``: of the one term that is enough, and of those that tie with it; ``certain``: whether its course alone,
-    without the mean, would have it named; ``noise``: what is stated with the terms.
+    ``value``: log-likelihood of a slot [nats] less the price of the terms, minus infinity where the model says nothing
+    of its noise; ``names``: of the one term that is enough, and of those that tie with it; ``certain``: whether its
+    course alone, without the mean, would have it named; ``noise``: what is stated with the terms.
     """
 
     value: float

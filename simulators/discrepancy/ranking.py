@@ -49,7 +49,7 @@ class Scored:
 
 
 class Ranking:
-    """Of the hypotheses of one library, by their evidence."""
+    """Of the hypotheses of one library by their evidence [nats]."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence, self.library, self.shapes = evidence, evidence.library, Shapes(evidence)
@@ -109,7 +109,7 @@ class Ranking:
 
     def channels(self, hypothesis: Hypothesis) -> set[int]:
         """Return the channels that a hypothesis touches in any scene."""
-        return {channel for _, channel in self.evidence.touched(hypothesis.columns)}
+        return self.evidence.channels(hypothesis.columns)
 
     def unlike(self, taken: Collection[tuple[str, str]]) -> list[Hypothesis]:
         """Return the names of one column but those taken."""
@@ -148,6 +148,7 @@ class Ranking:
         return again if again is not None and again.score > one.score else one
 
     def score_left(self, slot: Slot, fit: Fit, power: Array) -> Array:
+        """Return d ln L / d reading (n,) [1/y] of what a fit leaves of a slot, in noise of a power (b,) [y²]."""
         left = self.library.left(slot, fit.ids, fit.amplitude)
         return score_of(left, power, self.evidence.basis[slot], self.library.spread[slot])
 
@@ -205,13 +206,13 @@ class Ranking:
         scene, column = self.library.scenes[0], CHANNELS.index(h.channel)
         if h.shape["frequency"] < scene.freely_rounded_hz(column):
             return False
+        if bayes_factor(one.gain / self._beside(one), h.freedom, self.places(h)) < MARGIN:
+            return True
         if column not in self._rounding:
             noise = getattr(scene.model.noise, h.channel)
             found = float(scene.noise_sigma[column]) * math.sqrt(scene.seen.interval_s)
             least = ROUNDED_AT[0] * min(found, noise.white or math.inf)
             self._rounding[column] = largest_lines(scene, column, noise.model_copy(update={"white": least}))
-        if bayes_factor(one.gain / self._beside(one), h.freedom, self.places(h)) < MARGIN:
-            return True
         size = math.hypot(*(float(one.fit.amplitude[one.fit.ids.index(i)]) for i in h.columns))
         return size < float(np.interp(h.shape["frequency"], *self._rounding[column]))
 

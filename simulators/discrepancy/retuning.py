@@ -20,10 +20,7 @@ _TRIED = 4  # besides the best
 def best_retuned(
     ranking: Ranking, best: Scored, adopted: Sequence[Hypothesis], current: Fit
 ) -> tuple[list[Hypothesis], Fit]:
-    """Return what is adopted with the best name, or with one next to it if the shapes of others make it better.
-
-    Alone, one of two names of a sensor has taken a shape that does some of the other's work.
-    """
+    """Return what is adopted with the best name, or with one next to it if the shapes of others make it better."""
     if not shaped_beside(ranking, best.hypothesis, adopted):
         return [*adopted, best.hypothesis], best.fit
     tried = [retuned(ranking, s, adopted, current) for s in (best, *next_to(ranking, best, adopted, current))]

@@ -48,10 +48,10 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
             entry.instead = (noise, beyond) if noise is not None and noise.names and beyond < TIE else None
 
 
-def _likelier(ranked: Sequence[Scored], retuned: Sequence[Scored]) -> list[Scored]:
-    """Return what is ranked and what was retuned, best first, each name once."""
+def _likelier(ranked: Sequence[Scored], again: Sequence[Scored]) -> list[Scored]:
+    """Return what was ranked once and again, best first, each name once."""
     best: dict[tuple[str, str], Scored] = {}
-    for one in sorted([*ranked, *retuned], key=lambda s: -s.score):
+    for one in sorted([*ranked, *again], key=lambda s: -s.score):
         best.setdefault(one.hypothesis.name, one)
     return list(best.values())
 
@@ -72,7 +72,7 @@ def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]
     found = []
     for one in search.left():
         h = one.hypothesis
-        alone = h.kind is Kind.NAMED and evidence.touched(h.columns) <= set(slots)
+        alone = h.kind is Kind.NAMED and evidence.channels(h.columns) == {column}
         if alone and one.score > 0.0 and all(one.fit.noise[slot].level == STATED for slot in slots):
             found.append((h, -beyond_noise(evidence, one, search.fit)[0]))
     return [(h, behind) for h, behind in found if behind < TIE]

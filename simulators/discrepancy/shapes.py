@@ -17,6 +17,7 @@ from simulators.discrepancy.margins import MARGIN
 OF_ALL = frozenset({"time_constant", "half_width", "limit", "reference", "nominal"})
 """Shapes that hang on all of a record."""
 _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0}
+_LOOSER = 1.3  # times a shape, beside which it may be of any between
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
@@ -46,14 +47,14 @@ class Shapes:
         if name is None or one.unit_amplitude or one.kind is not Kind.NAMED:
             return None
         value = one.shape[name]
-        shape = {**one.shape, name: value + _WIDTH[name] if name in ("reference", "nominal") else 1.3 * value}
+        shape = {**one.shape, name: value + _WIDTH[name] if name in ("reference", "nominal") else _LOOSER * value}
         return self.library.trial(one.effect, one.channel, shape, one.places)
 
-    def step(self, slot: Slot, first: int, alike: float = 0.0) -> Hypothesis | None:
+    def step(self, slot: Slot, first: int, alike: float = 1.0 / STEP_PLACES) -> Hypothesis | None:
         """Return a step before an analysed sample, which would do as well at such a share of a record."""
         scene = self.library.scenes[slot[0]]
         shape = {"time": float(scene.data.edges_s[first * scene.group])}
-        places = min(STEP_PLACES, 1.0 / max(alike, 1e-9))
+        places = 1.0 / max(alike, 1.0 / STEP_PLACES)
         return self.library.trial("bias_step", CHANNELS[slot[1]], shape, places)
 
     def line(self, slot: Slot, hertz: float) -> Hypothesis | None:
