@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -337,16 +338,9 @@ class _Draft:
         if name in ("axis_swap", "sign_flip", "unit_error"):
             return lambda e: metric.size(hidden.reframe(e, world, world.inputs) - world.inputs)
         noiseless, channel = self._noiseless(world.inputs), index(effect.channel)
-        reading = noiseless + noise
-
-        def sent(before: np.ndarray) -> np.ndarray:
-            after = before.copy()
-            after[:, channel] = quantise(before[:, channel], world.dt, self.believed[channel].quantisation, 0.3)
-            return after
-
         if name == "stuck_samples":
-            usual = sent(reading)
-            return lambda e: metric.size(hidden.stuck_shift(e, world, usual, noiseless))
+            sent = self._to_be_sent(noise)
+            return lambda e: metric.size(hidden.stuck_shift(e, world, sent, noiseless))
         sigma = self.spectra[channel].white / math.sqrt(world.dt)
         if self.sway is not None:  # which nobody knows sample by sample either
             sigma = math.hypot(sigma, float(np.std(self._sway(self.rng.spawn(1)[0])[:, channel])))
@@ -455,6 +449,12 @@ class _Draft:
             if effect.name == "clock_scale":
                 stamps = stamps * (1 + effect.parameters["error"])
         return out, stamps
+
+    def _to_be_sent(self, noise: np.ndarray) -> np.ndarray:
+        """Return the rates (n, 6) that the block would send with nothing hidden in them, drawing no numbers for it."""
+        later = copy.copy(self)
+        later.rng = copy.deepcopy(self.rng)
+        return later._readings([], None, noise)[0]
 
     def _noiseless(self, inputs: np.ndarray) -> np.ndarray:
         """Readings (n, 6) of inputs by the calibration and the biases that are known, nothing hidden in them."""

@@ -195,6 +195,13 @@ class Scene:
                 near |= np.abs(time_s - end_s) < within_s
         return near
 
+    def turning(self, time_s: Array) -> NDArray[np.bool_]:
+        """Return at which times [s] the block turns, as stated."""
+        turning = np.zeros(len(time_s), dtype=np.bool_)
+        for _, turn in self.turns():
+            turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
+        return turning
+
     def shaking(self) -> NDArray[np.bool_]:
         """Return where a vibration goes on (n,)."""
         return self.seen.vibration_mps2_squared > 0.0

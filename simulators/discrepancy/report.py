@@ -33,7 +33,8 @@ from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
 from simulators.discrepancy.rivals import find_rivals, names_instead
 from simulators.discrepancy.silence import find_silenced
-from simulators.discrepancy.standing import Stuck, find_stuck
+from simulators.discrepancy.standing import Stuck, find_stuck, without_stuck
+from simulators.discrepancy.stood_between_steps import stood_between_steps
 from simulators.discrepancy.time_tags import TimeTags, find_time_tags
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
@@ -115,10 +116,12 @@ def discrepancy(
         read_off += clipped + silenced
         outliers += wild
     search = _searched(scenes, tell)
-    limits, wired = _limits(search), _wired(search)
-    if limits or wired:
+    limits, wired, stood = _limits(search), _wired(search), stood_between_steps(search)
+    if limits or wired or stood:
         scenes = [reduce(without_limit, limits, scene) for scene in scenes]
+        scenes = [without_stuck(scene, [one for place, one in stood if place == n]) for n, scene in enumerate(scenes)]
         scenes = _mended(scenes, wired)
+        stuck += [one for _, one in stood]
         read_off += limits
         mistakes += wired
         search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text))

@@ -8,6 +8,7 @@ came meanwhile.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,8 +59,9 @@ class Stuck:
 
 def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     """Return the scene with the samples of registers that stood still marked missing, and which they were."""
-    data, missing = scene.data, scene.data.missing.copy()
+    data, missing = scene.data, scene.data.missing
     interval, changing = np.diff(data.edges_s), scene.near_turn_ends(scene.time_s, _EDGE_S)
+    turning = scene.turning(scene.time_s) | changing
     found = []
     for column, channel in enumerate(CHANNELS):
         came = np.flatnonzero(~missing[:, column])
@@ -71,16 +73,30 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         shaken = _vibrated(scene, column)[came] * interval[came]
         # That a turn ends late is no reading that stood still.
         settled = _without_ends(off, changing[came])
-        for first, last in _standing(increment, (off, settled), said, white_by_model, shaken, tilted=column < 3):
-            start, end = int(came[first]), int(came[last])
-            if last - first + 1 < _SHORT_RUN and changing[start]:
-                continue  # a turn that came late stands still for as long
-            missing[start : end + 1, column] = True
-            duration_s = float(data.edges_s[end + 1] - data.edges_s[start])
-            # A reading may have been the same by itself just before, or just after.
-            sigma_s = scene.seen.interval_s * max(1.0, _mean_run(increment))
-            found.append(Stuck(channel, float(data.edges_s[start]), duration_s, sigma_s))
-    return (replace(scene, data=replace(data, missing=missing)) if found else scene), found
+        driven = said, shaken, turning[came], changing[came]
+        for first, last in _standing(increment, (off, settled), driven, white_by_model, tilted=column < 3):
+            found.append(stuck_from(scene, channel, int(came[first]), int(came[last])))
+    return without_stuck(scene, found), found
+
+
+def stuck_from(scene: Scene, channel: str, first: int, last: int) -> Stuck:
+    """Return the register that stood still from a sample to another."""
+    edges, column = scene.data.edges_s, CHANNELS.index(channel)
+    came = scene.data.sent[~scene.data.missing[:, column], column]
+    # A reading may have been the same by itself just before, or just after.
+    sigma_s = scene.seen.interval_s * max(1.0, _mean_run(came))
+    return Stuck(channel, float(edges[first]), float(edges[last + 1] - edges[first]), sigma_s)
+
+
+def without_stuck(scene: Scene, found: Sequence[Stuck]) -> Scene:
+    """Return the scene with the samples of registers that stood still marked missing."""
+    if not found:
+        return scene
+    missing, middle_s = scene.data.missing.copy(), 0.5 * (scene.data.edges_s[:-1] + scene.data.edges_s[1:])
+    for one in found:
+        within = (middle_s > one.start_s) & (middle_s < one.start_s + one.duration_s)
+        missing[within, CHANNELS.index(one.channel)] = True
+    return replace(scene, data=replace(scene.data, missing=missing))
 
 
 def _without_ends(off: Array, ends: NDArray[np.bool_]) -> Array:
@@ -115,16 +131,22 @@ def _jolts(shaken: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> 
 
 
 def _standing(
-    increment: Array, offs: tuple[Array, Array], said: Array, white_by_model: float, shaken: Array, *, tilted: bool
+    increment: Array,
+    offs: tuple[Array, Array],
+    driven: tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]],
+    white_by_model: float,
+    *,
+    tilted: bool,
 ) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``offs`` is by how much each increment is off the prediction, ``said``, as it is and without the ends of turns;
-    ``white_by_model``: the σ of a sample's white noise, for what goes on slowly beside it does not break runs;
-    ``shaken`` (n,) is by how much a vibration changes them from sample to sample: its course is not known but by the
-    readings; ``tilted``: it is the block's attitude that is read, as by an accelerometer.
+    ``offs`` is by how much each increment is off the prediction, as it is and without the ends of turns; ``driven``
+    (n,) are that prediction, by how much a vibration changes it from sample to sample, for its course is not known but
+    by the readings, whether the block turns, and whether a turn begins or ends there; ``white_by_model``: the σ of a
+    sample's white noise, for what goes on slowly beside it does not break runs; ``tilted``: it is the block's attitude
+    that is read, as by an accelerometer.
     """
-    off = offs[0]
+    off, (said, shaken, turning, changing) = offs[0], driven
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
         return []
@@ -137,7 +159,7 @@ def _standing(
     # Noise that is slow changes little from sample to sample, whatever it sums up to.
     changes = np.sort(np.abs(np.diff(quiet)))
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
-    by_custom = _longest_by_custom(lengths, same.size)
+    by_custom = longest_by_custom(lengths, same.size)
     white = min(fast, white_by_model)
     longest = np.full(lengths.size, max(longest_by_rounding(white / step, same.size), by_custom))
     jolts = _jolts(shaken, first, last)
@@ -150,17 +172,21 @@ def _standing(
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
     # A coarse readout of a small input is at zero most of the time.
-    candidate &= ~at_zero | (lengths >= by_custom) | _unlike_other_zeros(increment, said / step, first, last)
+    unlike = _unlike_other_zeros(increment, said / step, turning, first, last)
+    candidate &= ~at_zero | (lengths >= by_custom) | unlike
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
-        if tilted and _let_go(off, int(b), step, noise):
+        leapt = tilted and _let_go(off, int(b), step, noise)
+        if leapt:
             astray = as_is  # a turn that comes late leaves an attitude late, not all at once right
         elif not tilted and np.array_equal(offs[0][a + 1 : b + 1], offs[1][a + 1 : b + 1]):
             astray = without_ends  # what a turn's end does to a gyro's readings beside says nothing of the run
         else:
             astray = min(as_is, without_ends)
         short = b - a < _SHORT_RUN
+        if short and changing[a + 1] and not leapt:
+            continue  # a turn that came late stands still for as long
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
             continue  # of a few samples only a motion that goes on without them tells
@@ -183,9 +209,12 @@ def _at_limit(
 
 
 def _unlike_other_zeros(
-    reading: Array, said: Array, first: NDArray[np.int64], last: NDArray[np.int64]
+    reading: Array, said: Array, turning: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return which runs of zeros miss some steps of a steady input ``said`` [steps], twice what others of such miss."""
+    """Return which runs of zeros miss some steps of a steady input ``said`` [steps], twice what others of such miss.
+
+    What is said of a ``turning`` block may be off by more than a block at rest ever misses.
+    """
     zero = np.flatnonzero(reading[first] == 0.0)
     sums = np.concatenate([[0.0], np.cumsum(said)])
     missed = np.abs(sums[last[zero] + 1] - sums[first[zero] + 1])
@@ -195,6 +224,7 @@ def _unlike_other_zeros(
         run = zero[place]
         steady = np.min(np.abs(said[first[run] + 1 : last[run] + 1])) > _STEADY * size[place]
         others = (size > _AS_LARGE * size[place]) & (np.arange(zero.size) != place)
+        others &= turning[first[run]] | ~turning[first[zero]]
         unlike[run] = steady and missed[place] > 2.0 * np.max(missed[others], initial=0.0)
     return unlike
 
@@ -267,7 +297,7 @@ def longest_by_rounding(steps: float, size: int) -> float:
     return math.log(max(size * leaving, 1.0) / _CHANCE) / max(leaving, 1e-9)
 
 
-def _longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
+def longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
     """Return the length that runs reach by chance, from the tail that the runs of this record have."""
     tail = float(np.quantile(lengths, 0.9))
     beyond = lengths[lengths >= tail] - tail

@@ -65,10 +65,7 @@ def _regimes(scene: Scene, channel: int, n: int) -> tuple[NDArray[np.bool_], lis
     """Return where a channel was measured at rest, and where while it turned and while it was shaken, as analysed."""
     came = ~scene.data.missing[: n * scene.group, channel].reshape(n, scene.group).any(axis=1)
     time_s = scene.time_s[: n * scene.group].reshape(n, scene.group)[:, -1] - 0.5 * scene.interval_s
-    turning = np.zeros(n, dtype=np.bool_)
-    edge = scene.near_turn_ends(time_s, _EDGE_S)
-    for _, turn in scene.turns():
-        turning |= (time_s >= turn.start_s) & (time_s < turn.end_s)
+    turning, edge = scene.turning(time_s), scene.near_turn_ends(time_s, _EDGE_S)
     shaking = scene.shaking()[: n * scene.group].reshape(n, scene.group).any(axis=1)
     return came & ~(turning | shaking | edge), [came & turning & ~edge, came & shaking & ~edge]
 

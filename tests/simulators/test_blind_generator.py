@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from itertools import combinations
@@ -10,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden_case import hidden_case
 from scipy.fft import dct
 from scipy.stats import chi2
 
 from drivers.recording import read_recording
 from inertial.attitude import body_to_tangent
-from inertial.documents import BlockModel, parse_document
+from inertial.documents import CHANNELS, BlockModel, parse_document
 from inertial.earth import Site
 from simulators.motion import Setup as SimulatorSetup
 from simulators.motion import Trajectory
@@ -246,3 +248,22 @@ def test_of_a_vibration_whose_course_nobody_knows_nobody_knows_how_late_it_is(ch
     late = hidden.Effect("latency", channel, {"delay": 0.02}, ("delay",))
     assert np.ptp((hidden.delayed(late, draft.world) - draft.world.inputs)[:, :3]) > 1.0
     assert draft._timed_size(late) < 1e-3
+
+
+@pytest.mark.parametrize(("seed", "number"), [(90620, 461), (90620, 265), (90619, 477)])
+def test_a_stuck_register_is_as_large_as_what_it_held_makes_it(seed: int, number: int, tmp_path: Path) -> None:
+    """At rest, from the files: what came meanwhile by its neighbours, over white noise and the roundings at both ends.
+
+    How the readout rounded is part of what it held: of another remainder it holds a step more or less, half to twice d.
+    """
+    case = hidden_case(seed, number, tmp_path)
+    (stuck,), samples = case.truth["effects"], case.recording.samples
+    increments = np.hstack([samples["dv"], samples["dtheta"]])[:, CHANNELS.index(stuck["channel"])]
+    start_s = stuck["parameters"]["start"]
+    held = np.flatnonzero((samples["time"] >= start_s) & (samples["time"] < start_s + stuck["parameters"]["duration"]))
+    assert np.ptp(increments[held]) == 0.0
+    beside = [*range(held[0] - 401, held[0] - 1), *range(held[-1] + 2, held[-1] + 402)]
+    lost = np.sum(increments[held]) - held.size * np.mean(increments[beside])
+    noise = getattr(case.model.noise, stuck["channel"])
+    sigma = math.hypot(noise.white * math.sqrt(held.size * 0.01), noise.quantisation / math.sqrt(6.0))
+    assert stuck["d"] == pytest.approx(abs(lost) / sigma, rel=0.05)
