@@ -32,6 +32,7 @@ _SHARPENED = 3
 _FEW = 2  # steps and lines together that are still names
 _FELT = 0.5  # σ of a sample by which the reference's errors must move the input to be felt by a readout
 _NEAR_TURN_S = 0.3  # of a turn's end, where what the turn does begins or ends
+_NEAR_IT = 0.25  # share of a curve's evidence that a name must have to be asked whether it could still do as well
 _LIKE_IT = 1.02  # times a name's evidence that a curve may have and still only mend its form
 
 
@@ -87,7 +88,7 @@ class Searcher:
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
         bare = self.evidence.fit([])
-        if self.evidence.restate(bare.rss) | self.evidence.stand(bare.noise):
+        if self.evidence.restate(bare.rss) | self.evidence.stand(bare):
             bare = self.evidence.fit([])
         self._correct(bare)
         adopted: list[Hypothesis] = []
@@ -150,8 +151,9 @@ class Searcher:
             best = other[0]
         curve = curves[0] if curves else None
         if best is not None and curve is not None and curve.score > best.score:
-            sharp = [self.ranking.sharpened(s, current, adopted) for s in named[:_SHARPENED]]
-            named = sorted([*sharp, *named[_SHARPENED:]], key=lambda s: -s.score)
+            near = [s for s in named[:_SHARPENED] if s.score > _NEAR_IT * curve.score]
+            sharp = [self.ranking.sharpened(s, current, adopted) for s in near]
+            named = sorted([*sharp, *named[len(near) :]], key=lambda s: -s.score)
             best = max((best, named[0]), key=lambda s: s.score)
         certain = -math.inf if best is None else self._certain(best, named)
         if (
@@ -213,7 +215,7 @@ class Searcher:
         Steps at both ends of a turn do not count: they are what the turn does.
         """
         for first in named:
-            if first.score < MARGIN:
+            if first.score < max(MARGIN, _NEAR_IT * curve.score):
                 continue
             least = max(MARGIN, curve.score - TIE - first.score)
             seconds = self.ranking.names_beside(first.fit, [*adopted, first.hypothesis], least)

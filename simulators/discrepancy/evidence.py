@@ -22,6 +22,7 @@ from simulators.discrepancy.candidates import Column, Kind, Library, Slot
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
+from simulators.discrepancy.sway_time import correlation_time
 from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
@@ -36,6 +37,8 @@ _RESPREAD = 0.01  # of its power in any bin by which stated noise must change to
 _OF_LATE = 4  # fits
 _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
+_ABOUT = 1.3  # times a correlation time, that it may be off
+_GYROS = range(3, 6)
 _NOTHING = 1e-3  # σ of one channel's data below which it is not there
 
 
@@ -91,6 +94,7 @@ class Evidence:
         """Share (bins,) of what was there to be seen that came: see :meth:`.repair.Gaps.seen`."""
         self.sways = True
         """Whether the mount may sway: see :meth:`stand`."""
+        self._tilted: dict[int, float] = {}
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
@@ -164,14 +168,25 @@ class Evidence:
             self.stated[slot] = after
         return changed
 
-    def stand(self, noise: Mapping[Slot, NoiseFit]) -> bool:
+    def stand(self, fit: Fit) -> bool:
         """Take the mount to stand still where fewer than two channels sway, in whichever recording.
 
-        Return whether that changed it, so that fits made before are to be made again.
+        And where gyros say how it sways, accelerometers to be tilted at no other correlation time: what is slower there
+        is their own. Return whether that changed anything, so that fits made before are to be made again.
         """
-        swaying = {channel for (_, channel), fit in noise.items() if fit.level in (SWAY, WIDE)}
+        swaying = {channel for (_, channel), noise in fit.noise.items() if noise.level in (SWAY, WIDE)}
         before, self.sways = self.sways, len(swaying) > 1
-        return self.sways != before
+        changed = self.sways != before
+        for scene in {scene for scene, _ in self.slots}:
+            gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in _GYROS]
+            at_s = correlation_time([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
+            if at_s is not None and not self._tilted.get(scene):
+                self._tilted[scene] = at_s
+                changed = True
+                for slot in self.slots:
+                    if slot[0] == scene and slot[1] not in _GYROS:
+                        self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
+        return changed
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""

@@ -38,7 +38,7 @@ def _late(scenes: list[Scene]) -> dict[int, Lateness]:
     """Return the lateness of the recordings in which some is much."""
     evidence = Evidence(Library(scenes, only=(), plain=True))
     fit = evidence.fit([])
-    if evidence.restate(fit.rss) | evidence.stand(fit.noise):
+    if evidence.restate(fit.rss) | evidence.stand(fit):
         fit = evidence.fit([])
     late = {index: _found(schedule, fit) for index, schedule in evidence.library.schedules.items()}
     return {index: shifts for index, shifts in late.items() if np.max(np.abs(shifts)) > _MUCH_S}

@@ -20,6 +20,7 @@ Sums = tuple[Array, Array, Array]
 """Weighted products of columns with each other, with the residual, and with the columns of the fit."""
 
 _APART = 1e-3  # squared sine between two columns that are tried together
+_FEW = 8  # rows that are multiplied one by one
 _LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
 
 
@@ -147,18 +148,19 @@ class Look:
         columns, k = self.evidence.library.columns, len(ids)
         own, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((k, len(self.active)))
         for slot in self.evidence.touched(ids):
-            mine = np.zeros((self.evidence.basis[slot].n, k))
+            mine = np.zeros((k, self.evidence.basis[slot].n))
             for place, i in enumerate(ids):
                 if slot in columns[i].parts:
-                    mine[:, place] = columns[i].parts[slot]
-            weighted = mine * self._spread(slot)[:, None]
-            own += mine.T @ weighted
-            score += weighted.T @ self.evidence.library.residual[slot]
+                    mine[place] = columns[i].parts[slot]
+            weighted = mine * self._spread(slot)
+            own += mine @ weighted.T
+            score += weighted @ self.evidence.library.residual[slot]
             known, stack = self.evidence.stack(slot)
-            together = weighted.T @ stack
+            # Row by row: BLAS multiplies a matrix by a vector as fast as memory goes, and by two or three far slower.
+            together = np.array([row @ stack for row in weighted]) if k < _FEW else weighted @ stack
             for place, i in enumerate(self.active):
                 if i in known:
                     cross[:, place] += together[:, known.index(i)]
                 elif slot in columns[i].parts:
-                    cross[:, place] += weighted.T @ columns[i].parts[slot]
+                    cross[:, place] += weighted @ columns[i].parts[slot]
         return own, score, cross

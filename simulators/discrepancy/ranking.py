@@ -61,12 +61,14 @@ class Ranking:
     def rank(self, current: Fit, adopted: Sequence[Hypothesis]) -> list[Scored]:
         """Return the leading hypotheses beside those adopted, best first, shapes refined, noise refitted.
 
-        What was asked for of late is not done again.
+        What promises far too little to be named, or to tie with a name, is left out. What was asked for of late is not
+        done again.
         """
         for fit, beside, known in self._ranked:
             if fit is current and len(beside) == len(adopted) and all(map(operator.is_, beside, adopted)):
                 return known
-        found = self._ranked_by(self._looks(current), current, adopted, dict.fromkeys(Kind, (-math.inf, -math.inf)))
+        wanted = dict.fromkeys(Kind, (MARGIN - TIE, math.inf))
+        found = self._ranked_by(self._looks(current), current, adopted, wanted)
         self._ranked.append((current, tuple(adopted), found))
         return found
 

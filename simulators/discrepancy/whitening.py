@@ -9,6 +9,7 @@ coefficients is linear in its variance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -69,9 +70,20 @@ class Basis:
 
     def terms(self, level: int) -> list[int]:
         """Return the terms that a level of the family leaves free."""
-        sway = [place for place, name in enumerate(self.names) if name.startswith("sway")]
+        sway = self._swaying()
         more = {SWAY: sway, FLICKER: [self.fast], WALK: [self.fast + 1], WIDE: range(self.fast, len(self.names))}
         return [*range(self.fast), *more.get(level, ())]
+
+    def tilted_at(self, times_s: Sequence[float]) -> Basis:
+        """Return an accelerometer's basis beside a mount that sways with such correlation times and no others."""
+        others = [place for place in range(len(self.names)) if place not in self._swaying()]
+        tilts = [self.sway(at_s, tilted=True) for at_s in times_s]
+        power = np.column_stack([self.power[:, others], *(tilt / tilt.max() for tilt in tilts)])
+        names = (*(self.names[place] for place in others), *(f"sway {at_s:.3g} s" for at_s in times_s))
+        return replace(self, power=power, names=names)
+
+    def _swaying(self) -> list[int]:
+        return [place for place, name in enumerate(self.names) if name.startswith("sway")]
 
     @cached_property
     def families(self) -> dict[tuple[int, bool], tuple[Array, Array]]:

@@ -152,7 +152,7 @@ def test_a_random_walk_of_one_sensor_is_no_mount_that_sways_beside_what_grows_wi
 def test_one_sensor_that_walks_in_two_recordings_is_no_mount_that_sways() -> None:
     cases = [recording(walk(3, 0.1, [44, seed]), 45 + seed) for seed in range(2)]
     evidence = Evidence(Library([compare(case, model()) for case in cases], only=set()))
-    assert evidence.stand(evidence.fit([]).noise)
+    assert evidence.stand(evidence.fit([]))
     assert not evidence.sways
 
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from closed_form import DURATION_S, RATE_HZ, WHITE, Change, Truth, model, recording
+from hidden_case import hidden_case
 from scipy.signal import lfilter
 from scipy.stats import binom
 
+from simulators.discrepancy.candidates import Library
+from simulators.discrepancy.compare import compare
+from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.report import Report, discrepancy
 
 GYRO_SIGMA = WHITE["gyro"] * np.sqrt(RATE_HZ)
@@ -73,6 +78,37 @@ def test_the_strongest_sway_is_found_at_whatever_correlation_time(correlation_s:
     off = 4.0 / math.sqrt(2.0 * 3.0 * DURATION_S / (4.0 * correlation_s))
     assert found["values"] == pytest.approx([100.0 * ANGLE_RAD, correlation_s], rel=off)
     assert report.findings == []
+
+
+@pytest.mark.parametrize("correlation_s", [0.2, 0.45, 0.9])
+def test_gyros_tell_the_correlation_time_at_which_accelerometers_are_tilted(correlation_s: float) -> None:
+    """Of three angles some 3·T/(4τ) values are independent, each of which tells the time's logarithm to about one."""
+    evidence = Evidence(Library([compare(recording(sway(5, correlation_s=correlation_s), 340, moving=False), model())]))
+    assert evidence.stand(evidence.fit([]))
+    off = 4.0 / math.sqrt(3.0 * DURATION_S / (4.0 * correlation_s))
+    for slot, basis in evidence.basis.items():
+        times = [float(name.split()[1]) for name in basis.names if name.startswith("sway")]
+        if slot[1] < 3:
+            assert abs(math.log(math.sqrt(times[0] * times[-1]) / correlation_s)) < off
+            assert max(times) < 2.0 * min(times)
+        else:
+            assert max(times) > 10.0 * min(times)
+    assert not evidence.stand(evidence.fit([]))
+
+
+def test_gyros_that_feel_no_sway_tell_no_time() -> None:
+    for seed in range(RECORDINGS):
+        evidence = Evidence(Library([compare(recording(None, 350 + seed, moving=False), model())]))
+        evidence.stand(evidence.fit([]))
+        assert all(sum(name.startswith("sway") for name in basis.names) > 2 for basis in evidence.basis.values())
+
+
+def test_what_grows_with_temperature_is_no_slow_sway_of_a_mount_that_sways_fast(tmp_path: Path) -> None:
+    """Ten σ in a mount that forgets its angle in 0.4 s: sways of every time together took it for their own."""
+    case = hidden_case(90622, 82, tmp_path)
+    (hidden,) = case.truth["effects"]
+    found = discrepancy([case.recording], case.model).findings
+    assert [(f["effect"], f["channel"]) for f in found] == [(hidden["effect"], hidden["channel"])]
 
 
 def test_noise_of_that_colour_on_one_gyro_is_no_mount() -> None:
