@@ -299,10 +299,10 @@ class Library:
         self, effect: str, channel: str, sizes: tuple[float, ...], shape: Mapping[str, float] | None = None
     ) -> Hypothesis | None:
         """Add a set-up effect's columns, taken as chords to ``sizes``, so that large errors need no small angles."""
-        places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
         delayed = self._delayed(effect, channel)
         if delayed is not None:
-            return self._listed(Hypothesis(Kind.NAMED, effect, channel, (self._keep(delayed),), places=float(places)))
+            return self._listed(Hypothesis(Kind.NAMED, effect, channel, (self._keep(delayed),)))
+        places = {"latency": len(DELAY_SAMPLES), "clock_scale": len(DELAY_SAMPLES), "level_error": 2}.get(effect, 1)
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in sizes]
         for s, scene in enumerate(self.scenes):
             for column, change in zip(raw, _chords(scene, effect, channel, sizes, shape or {}), strict=True):

@@ -39,6 +39,7 @@ _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be k
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _ABOUT = 1.3  # times a correlation time, that it may be off
 _GYROS = range(3, 6)
+_FAST = 0.25  # of all frequencies, above which what is not noise has little power
 _NOTHING = 1e-3  # σ of one channel's data below which it is not there
 
 
@@ -127,13 +128,13 @@ class Evidence:
             self._steps[slot] = Steps(self.basis[slot], self.library.spread[slot])
         return self._steps[slot]
 
-    def quiet(self, slot: Slot, rss: Array) -> NoiseFit:
+    def quiet(self, slot: Slot, rss: Array, above: float = 0.0) -> NoiseFit:
         """Return the noise in which nothing slow is random: as stated, in the model's proportions, or white alone.
 
-        Rounding may go with each.
+        Rounding may go with each. Their sizes are those ``above`` a share of all frequencies.
         """
         basis, stated = self.basis[slot], self.stated[slot]
-        fitted = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False)
+        fitted = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False, above=above)
         if stated is not None and np.median(fitted.power / stated) < 1.5:
             fitted = replace(fitted, power=stated)
         return fitted
@@ -258,10 +259,11 @@ class Evidence:
         return felt
 
     def _least_power(self, slot: Slot) -> Array:
-        """Return the power (bins,) of noise in which nothing is slow, or that stated where it is less."""
-        basis, stated = self.basis[slot], self.stated[slot]
-        rss = self.inner[slot].residual2
-        power = fit_noise(basis, rss, basis.counts, None, self.floor[slot], slow=False).power
+        """Return the power (bins,) of noise in which nothing is slow, or that stated where it is less.
+
+        As large as what is fast: what is slow, and may be far larger, is no noise before anything was fitted.
+        """
+        stated, power = self.stated[slot], self.quiet(slot, self.inner[slot].residual2, _FAST).power
         return power if stated is None else np.minimum(power, stated)
 
     def _squares(self, slot: Slot, part: Array) -> Array:

@@ -29,6 +29,7 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.5  # by how many times its uncertainty a run's sum is off what its neighbours say
 _NEAR_SHARE = 0.8  # ... of that, what its nearest neighbours say, who are few
+_LONGER, _FAR_SHARE = 8.0, 0.5  # times what runs are by custom, of which those far about need say but such a share
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _ROUNDED = 1.0 / 6.0  # variance of a sum in steps whose ends are rounded [step²]
 _LEAP = 3  # samples behind a run by which a leap is told
@@ -176,7 +177,8 @@ def _standing(
     candidate &= ~at_zero | (lengths >= by_custom) | unlike
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
-        as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt)) for one in offs)
+        far_share = _FAR_SHARE if b - a > _LONGER * by_custom else 1.0
+        as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt), far_share) for one in offs)
         leapt = tilted and _let_go(off, int(b), step, noise)
         if leapt:
             astray = as_is  # a turn that comes late leaves an attitude late, not all at once right
@@ -317,7 +319,7 @@ def _may_be_astray(
     return np.asarray(np.abs(run - count * beside) - step > 0.5 * _ASTRAY * noise * np.sqrt(count))
 
 
-def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
+def _astray(off: Array, a: int, b: int, step: float, noise: float, far_share: float) -> float:
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
     Those far about it know best what goes on all the time, those next to it whether the input itself swung so far: a
@@ -326,7 +328,7 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float) -> float:
     if _swings(off, a, b):
         return 0.0
     far, near = (_off_beside(off, a, b, step, noise, aside) for aside in (max(_ASIDE, 3 * (b - a)), _NEXT + b - a))
-    return min(far, near / _NEAR_SHARE)
+    return min(far / far_share, near / _NEAR_SHARE)
 
 
 def _was_read(off: Array, a: int, sigma: float) -> bool:

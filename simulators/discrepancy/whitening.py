@@ -255,6 +255,7 @@ def fit_noise(
     sways: bool = True,
     slow: bool = True,
     blocks: bool = False,
+    above: float = 0.0,
 ) -> NoiseFit:
     """Fit the noise to sums of squares (b,) of residual coefficients with as many degrees of freedom.
 
@@ -262,7 +263,8 @@ def fit_noise(
     ``eased`` is the least share of it that may hold, see :func:`ease`. Unless the mount ``sways``, noise of that kind
     costs what flicker does. Without ``slow``, nothing is tried but white noise and rounding, or noise of the model's
     proportions and rounding. The mean of a record tells of a bias, which a random walk of one coefficient would
-    swallow, and is left out; those of ``blocks`` of one tell of its slow noise.
+    swallow, and is left out; those of ``blocks`` of one tell of its slow noise. Sizes are fitted ``above`` a share of
+    all frequencies.
     """
     shape = basis.shape if stated is None else None
     penalty = PENALTY if stated is not None else PENALTY_FREE if shape is None else PENALTY_SHAPED
@@ -270,11 +272,12 @@ def fit_noise(
     high = slice(len(rss) // 2, None)
     start = max(float(np.sum(rss[high]) / max(np.sum(freedom[high]), 1.0)), float(floor[high].max()) + 1e-300)
     first = STATED if shape is not None else WHITE
+    lowest = int(np.searchsorted(basis.bounds, above * basis.n))
     for level in range(first, WIDE + 1 if slow else first + 1):
         columns, typical = basis.families[level, shape is not None]
         variances = start / np.maximum(typical, 1e-300)
         variances[1:] *= 0.1
-        climb(columns, rss, freedom, floor, variances, 150, 0 if blocks else 1)
+        climb(columns, rss, freedom, floor, variances, 150, max(lowest, 0 if blocks else 1))
         power = floor + columns @ variances
         cost = penalty[FLICKER if level == SWAY and not sways else level]
         value = _value(rss, freedom, power) - cost

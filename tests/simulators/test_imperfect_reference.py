@@ -193,3 +193,23 @@ def test_a_shift_at_rest_that_the_stated_level_cannot_be_off_by_is_not_laid_to_t
     names = {finding["effect"], *(one["effect"] for one in finding["alternatives"])}
     assert {"bias_shift", "level_error"} <= names
     assert report.document["rejected"] == []
+
+
+def test_what_hides_in_large_residuals_is_looked_for_beside_all_that_the_reference_is_unsure_of(tmp_path: Path) -> None:
+    """A case tilted by 0.15° of a block whose noise is free: held against the residual nothing seemed to be felt."""
+    case = hidden_case(90623, 22, tmp_path)
+    (hidden,) = case.truth["effects"]
+    (found,) = discrepancy([case.recording], case.model).findings
+    assert (found["effect"], found["channel"]) == (hidden["effect"], hidden["channel"]) == ("level_error", "all")
+    for name in ("tilt_1", "tilt_2"):
+        value = found["parameters"][name]
+        assert abs(value["value"] - hidden["parameters"][name]) < 3.3 * value["sigma"]
+
+
+def test_a_delay_that_is_known_from_the_schedule_is_one_number_and_charged_for_as_such(tmp_path: Path) -> None:
+    """Seven σ, of which noise took two: five lengths of chord, which are one column there, cost what it lacked."""
+    case = hidden_case(90622, 190, tmp_path)
+    (hidden,) = case.truth["effects"]
+    (found,) = discrepancy([case.recording], case.model).findings
+    names = [found, *found["alternatives"]]
+    assert (hidden["effect"], hidden["channel"]) in [(one["effect"], one["channel"]) for one in names]

@@ -255,6 +255,16 @@ def test_five_readings_alike_in_a_turn_after_which_gravity_leaps_are_a_stuck_reg
     assert abs(found.start_s - hidden["parameters"]["start"]) < 3.0 * found.sigma_s
 
 
+def test_seven_seconds_alike_among_runs_of_three_samples_are_a_stuck_register(tmp_path: Path) -> None:
+    """Turns on either side, about axes that are not the stated ones, make those far about it uncertain witnesses."""
+    case = hidden_case(90622, 355, tmp_path)
+    (hidden,) = case.truth["effects"]
+    (found,) = find_stuck(compare(case.recording, case.model))[1]
+    assert found.channel == hidden["channel"]
+    assert abs(found.start_s - hidden["parameters"]["start"]) < 3.0 * found.sigma_s
+    assert abs(found.duration_s - hidden["parameters"]["duration"]) < 3.0 * found.sigma_s
+
+
 def test_a_step_and_its_undoing_between_which_the_reading_stood_still_are_a_stuck_register(tmp_path: Path) -> None:
     """Across the end of a turn about an axis that is not the stated one nothing tells before the axis is fitted."""
     case = hidden_case(90621, 476, tmp_path)
