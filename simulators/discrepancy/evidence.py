@@ -95,7 +95,7 @@ class Evidence:
         """Share (bins,) of what was there to be seen that came: see :meth:`.repair.Gaps.seen`."""
         self.sways = True
         """Whether the mount may sway: see :meth:`stand`."""
-        self._tilted: dict[int, float] = {}
+        self._tilted: set[int] = set()  # recordings in which gyros said how the mount sways
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
@@ -181,8 +181,8 @@ class Evidence:
         for scene in {scene for scene, _ in self.slots}:
             gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in _GYROS]
             at_s = correlation_time([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
-            if at_s is not None and not self._tilted.get(scene):
-                self._tilted[scene] = at_s
+            if at_s is not None and scene not in self._tilted:
+                self._tilted.add(scene)
                 changed = True
                 for slot in self.slots:
                     if slot[0] == scene and slot[1] not in _GYROS:
