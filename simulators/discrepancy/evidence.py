@@ -177,17 +177,20 @@ class Evidence:
         """
         swaying = {channel for (_, channel), noise in fit.noise.items() if noise.level in (SWAY, WIDE)}
         before, self.sways = self.sways, len(swaying) > 1
-        changed = self.sways != before
-        for scene in {scene for scene, _ in self.slots}:
-            gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in _GYROS]
-            at_s = correlation_time([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
-            if at_s is not None and scene not in self._tilted:
-                self._tilted.add(scene)
-                changed = True
-                for slot in self.slots:
-                    if slot[0] == scene and slot[1] not in _GYROS:
-                        self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
-        return changed
+        tilted = [self._tilt(scene, fit) for scene in {scene for scene, _ in self.slots} - self._tilted]
+        return self.sways != before or any(tilted)
+
+    def _tilt(self, scene: int, fit: Fit) -> bool:
+        """Let a recording's accelerometers be tilted at the correlation time that its gyros tell, if they tell one."""
+        gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in _GYROS]
+        at_s = correlation_time([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
+        if at_s is None:
+            return False
+        self._tilted.add(scene)
+        for slot in self.slots:
+            if slot[0] == scene and slot not in gyros:
+                self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
+        return True
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""

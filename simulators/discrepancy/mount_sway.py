@@ -18,7 +18,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
-from simulators.discrepancy.whitening import SWAYS_S
+from simulators.discrepancy.sway_time import times_to_try
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,6 @@ FEWEST = 2
 FELT = 3.0
 """Evidence [nats] by which one of them feels it."""
 _GYROS = range(3, 6)
-_SHORTER = 8.0  # than a record, or it is drift
 _TIMES, _HALVED = 10, 4  # correlation times tried at first; how often the way between two of them is halved
 
 
@@ -50,9 +49,8 @@ def find_sway(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], otherwi
     None where it explains too few channels better than noise of their own does, whose evidence [nats] ``otherwise`` is:
     a channel that something else explains as well does not tell how the mount sways.
     """
-    longest = min(evidence.basis[slot].n * evidence.basis[slot].interval_s for slot in power) / _SHORTER
-    times = np.geomspace(SWAYS_S, max(longest, 2.0 * SWAYS_S), _TIMES)
-    tried = {time: _at(evidence, fit, power, time) for time in times.tolist()}
+    times = times_to_try((evidence.basis[slot] for slot in power), _TIMES)
+    tried = {time: _at(evidence, fit, power, time) for time in times}
 
     width = math.log(times[1] / times[0])
     for _ in range(_HALVED):

@@ -109,7 +109,6 @@ def discrepancy(
         within, clipped = find_clipped(scene)
         heard, silenced = find_silenced(within)
         free, standing = find_stuck(heard)
-        free = following_vibrations(free) if standing else free  # what a register held was no vibration
         tame, wild = find_outliers(free)
         scenes.append(tame)
         stuck += standing

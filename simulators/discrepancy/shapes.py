@@ -126,20 +126,15 @@ class Shapes:
         return _WIDTH[name]
 
     def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
-        """Take the columns as chords to the amplitudes they are found to have.
-
-        One number that is found to be what its chord was taken to is charged for as such alone.
-        """
+        """Take the columns as chords to the amplitudes they are found to have."""
         largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
         for _ in range(3):
             fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
             found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
             sizes = np.where(np.abs(found) < 1e-9, 1e-9, np.clip(found, -largest, largest))
             known = np.array(hypothesis.chord)
-            if np.max(np.abs(found)) < 1e-9:
+            if np.max(np.abs(sizes - known)) < 0.02 * np.max(np.abs(known)) or np.max(np.abs(found)) < 1e-9:
                 break
-            if np.max(np.abs(sizes - known)) < 0.02 * np.max(np.abs(known)):
-                return replace(hypothesis, places=1.0) if len(sizes) == 1 else hypothesis
             at = tuple(sizes.tolist())
             trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, at, hypothesis.shape)
             if trial is None or look.gain(trial) < look.gain(hypothesis) - 1.0:

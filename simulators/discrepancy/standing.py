@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import Scene, following_vibrations
 from simulators.discrepancy.runs import runs
 from simulators.discrepancy.whitening import FREE_SHARE
 
@@ -29,7 +29,7 @@ _ASIDE = 100  # samples on either side of a run, at least, that say what the reg
 _NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.5  # by how many times its uncertainty a run's sum is off what its neighbours say
 _NEAR_SHARE = 0.8  # ... of that, what its nearest neighbours say, who are few
-_LONGER, _FAR_SHARE = 8.0, 0.5  # times what runs are by custom, of which those far about need say but such a share
+_LONGER, _FAR_SHARE = 8.0, 0.5  # times the longest run by custom, and share of that which those far about then say
 _FAR_ASTRAY = 8.0  # ... that of a short one, of which there are many
 _ROUNDED = 1.0 / 6.0  # variance of a sum in steps whose ends are rounded [step²]
 _LEAP = 3  # samples behind a run by which a leap is told
@@ -58,6 +58,20 @@ class Stuck:
     sigma_s: float
 
 
+@dataclass(frozen=True)
+class _Driven:
+    """What drives a channel's increments, sample by sample (n,).
+
+    The prediction; by how much a vibration changes it from each sample to the next, for its course is not known but by
+    the readings; whether the block turns, and whether a turn begins or ends there.
+    """
+
+    said: Array
+    shaken: Array
+    turning: NDArray[np.bool_]
+    changing: NDArray[np.bool_]
+
+
 def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
     """Return the scene with the samples of registers that stood still marked missing, and which they were."""
     data, missing = scene.data, scene.data.missing
@@ -74,7 +88,7 @@ def find_stuck(scene: Scene) -> tuple[Scene, list[Stuck]]:
         shaken = _vibrated(scene, column)[came] * interval[came]
         # That a turn ends late is no reading that stood still.
         settled = _without_ends(off, changing[came])
-        driven = said, shaken, turning[came], changing[came]
+        driven = _Driven(said, shaken, turning[came], changing[came])
         for first, last in _standing(increment, (off, settled), driven, white_by_model, tilted=column < 3):
             found.append(stuck_from(scene, channel, int(came[first]), int(came[last])))
     return without_stuck(scene, found), found
@@ -90,14 +104,14 @@ def stuck_from(scene: Scene, channel: str, first: int, last: int) -> Stuck:
 
 
 def without_stuck(scene: Scene, found: Sequence[Stuck]) -> Scene:
-    """Return the scene with the samples of registers that stood still marked missing."""
+    """Return the scene with the samples of registers that stood still marked missing, and taken for no vibration."""
     if not found:
         return scene
     missing, middle_s = scene.data.missing.copy(), 0.5 * (scene.data.edges_s[:-1] + scene.data.edges_s[1:])
     for one in found:
         within = (middle_s > one.start_s) & (middle_s < one.start_s + one.duration_s)
         missing[within, CHANNELS.index(one.channel)] = True
-    return replace(scene, data=replace(scene.data, missing=missing))
+    return following_vibrations(replace(scene, data=replace(scene.data, missing=missing)))
 
 
 def _without_ends(off: Array, ends: NDArray[np.bool_]) -> Array:
@@ -134,20 +148,18 @@ def _jolts(shaken: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> 
 def _standing(
     increment: Array,
     offs: tuple[Array, Array],
-    driven: tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]],
+    driven: _Driven,
     white_by_model: float,
     *,
     tilted: bool,
 ) -> list[tuple[int, int]]:
     """Return runs (first repeated, last) of equal readings that are not chance: too long, or off their neighbours.
 
-    ``offs`` is by how much each increment is off the prediction, as it is and without the ends of turns; ``driven``
-    (n,) are that prediction, by how much a vibration changes it from sample to sample, for its course is not known but
-    by the readings, whether the block turns, and whether a turn begins or ends there; ``white_by_model``: the σ of a
-    sample's white noise, for what goes on slowly beside it does not break runs; ``tilted``: it is the block's attitude
-    that is read, as by an accelerometer.
+    ``offs`` is by how much each increment is off the prediction, as it is and without the ends of turns;
+    ``white_by_model``: the σ of a sample's white noise, for what goes on slowly beside it does not break runs;
+    ``tilted``: it is the block's attitude that is read, as by an accelerometer.
     """
-    off, (said, shaken, turning, changing) = offs[0], driven
+    off, said, shaken = offs[0], driven.said, driven.shaken
     same = np.diff(increment) == 0.0
     if not same.any() or same.all():
         return []
@@ -173,7 +185,7 @@ def _standing(
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
     # A coarse readout of a small input is at zero most of the time.
-    unlike = _unlike_other_zeros(increment, said / step, turning, first, last)
+    unlike = _unlike_other_zeros(increment, said / step, driven.turning, first, last)
     candidate &= ~at_zero | (lengths >= by_custom) | unlike
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
@@ -187,7 +199,7 @@ def _standing(
         else:
             astray = min(as_is, without_ends)
         short = b - a < _SHORT_RUN
-        if short and changing[a + 1] and not leapt:
+        if short and driven.changing[a + 1] and not leapt:
             continue  # a turn that came late stands still for as long
         unseen = abs(float(np.sum(said[a + 1 : b + 1] - said[a])))
         if short and unseen < _FAR_ASTRAY * noise * math.sqrt(b - a) + 2.0 * step:
@@ -322,7 +334,8 @@ def _may_be_astray(
 def _astray(off: Array, a: int, b: int, step: float, noise: float, far_share: float) -> float:
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
-    Those far about it know best what goes on all the time, those next to it whether the input itself swung so far: a
+    Those far about it, who need say but a share, know best what goes on all the time, those next to it whether the
+    input itself swung so far: a
     register that stood still is off both. Nothing is astray where the input swings as far before or after it.
     """
     if _swings(off, a, b):

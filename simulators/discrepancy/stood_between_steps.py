@@ -24,7 +24,7 @@ _COVERED = 0.8  # of the time between them, in which the reading is the same
 
 
 def stood_between_steps(search: Search) -> list[tuple[int, Stuck]]:
-    """Return the registers that stood still between two steps, and which recording's."""
+    """Return the registers that stood still between two steps, each with its recording's place among those searched."""
     evidence, everything = search.evidence, [a.hypothesis for a in search.adopted]
     steps = [a.hypothesis for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect == "bias_step"]
     values = [(h.channel, parameters_of(evidence, h, everything, search.fit)) for h in steps]
@@ -42,7 +42,7 @@ def stood_between_steps(search: Search) -> list[tuple[int, Stuck]]:
 
 
 def _stood(scene: Scene, channel: str, start_s: float, end_s: float) -> Stuck | None:
-    """Return the run of equal readings that covers a span, if it is longer than they are by custom."""
+    """Return the run of equal readings that covers a span [s, device clock], if longer than they are by custom."""
     column, edges_s = CHANNELS.index(channel), scene.data.edges_s
     came = np.flatnonzero(~scene.data.missing[:, column])
     same = np.diff(scene.data.sent[came, column]) == 0.0

@@ -6,7 +6,7 @@ accelerometer: so gyros tell the time, and accelerometers how large.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,25 @@ from simulators.discrepancy.whitening import SWAYS_S, Basis, climb, whittle
 
 Array = NDArray[np.float64]
 
-_TIMES, _SHORTER = 40, 8.0  # tried, up to so much shorter than the record
+_TIMES = 40  # tried
+_SHORTER = 8.0  # than a record, or it is drift
 _CERTAIN = 50.0  # nats that a sway must explain of the gyros' noise
 _ROUNDS = 100
+
+
+def times_to_try(bases: Iterable[Basis], count: int) -> list[float]:
+    """Return so many correlation times [s] in a constant ratio that a sway may have in records of such bases."""
+    longest_s = min(basis.n * basis.interval_s for basis in bases) / _SHORTER
+    return list(map(float, np.geomspace(SWAYS_S, max(longest_s, 2.0 * SWAYS_S), count)))
 
 
 def correlation_time(gyros: Sequence[tuple[Basis, Array, Array]]) -> float | None:
     """Return the correlation time [s] of the sway that explains most of what gyros read; none if that is not much.
 
-    Of each gyro the basis, sums of squares (b,) of what is left of its coefficients, and the power (b,) of noise that
-    is there at least; there may be more of white noise and rounding.
+    By Whittle's likelihood. Of each gyro the basis, sums of squares (b,) of what is left of its coefficients, and the
+    power (b,) of noise that is there at least; there may be more of white noise and rounding.
     """
-    longest_s = min(basis.n * basis.interval_s for basis, _, _ in gyros) / _SHORTER
-    times = np.geomspace(SWAYS_S, max(longest_s, 2.0 * SWAYS_S), _TIMES).tolist()
+    times = times_to_try((basis for basis, _, _ in gyros), _TIMES)
     still = sum(_likelihood(*gyro, None) for gyro in gyros)
     gains = [sum(_likelihood(*gyro, at_s) for gyro in gyros) - still for at_s in times]
     best = int(np.argmax(gains))

@@ -255,6 +255,7 @@ def test_a_stuck_register_is_as_large_as_what_it_held_makes_it(seed: int, number
     """At rest, from the files: what came meanwhile by its neighbours, over white noise and the roundings at both ends.
 
     How the readout rounded is part of what it held: of another remainder it holds a step more or less, half to twice d.
+    The mean of 800 neighbours tells what came of 78 to 0.3 of 15 σ, and of fewer better: a twentieth is twice that.
     """
     case = hidden_case(seed, number, tmp_path)
     (stuck,), samples = case.truth["effects"], case.recording.samples
