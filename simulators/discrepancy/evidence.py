@@ -228,8 +228,8 @@ class Evidence:
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
         declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
-        share = FREE_SHARE**2 if scene.model.noise.free else 1.0
-        self.floor[slot] = basis.stated(noise.__class__(), lsb) + share * basis.stated(slow, 0.0)
+        at_least = (FREE_SHARE**2 if scene.model.noise.free else 1.0) * basis.stated(slow, 0.0)
+        self.floor[slot] = basis.stated(noise.__class__(), lsb) + at_least
         moved = scene.motion(slot[1])
         stated = basis.stated(noise, lsb, moved) if declared else None
         if math.isfinite(scene.freely_rounded_hz(slot[1])):
@@ -242,7 +242,8 @@ class Evidence:
             stated = stated + self._torn[slot]
         self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):
-            basis = replace(basis, shape=basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0))
+            shape = basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0)
+            basis = replace(basis, shape=shape, slow=at_least)
         self.basis[slot] = basis
         self.inner[slot] = InnerProducts(self.library, slot, basis.bounds)
 

@@ -23,6 +23,16 @@ _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by whi
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
 
 
+def line_places(cycles: float, most: int) -> float:
+    """Return one over the prior probability of a line of so many cycles in a record, of ``most`` that it can have.
+
+    Half that of a frequency of unknown scale, alike in each octave (Jaynes 1968), and half that of a line above half
+    the sampling rate, which comes down anywhere.
+    """
+    octaves = 1.0 / (max(cycles, 1.0) * (math.log(most) + np.euler_gamma))
+    return 2.0 / (1.0 / most + float(octaves))
+
+
 class Shapes:
     """Of the hypotheses of one library."""
 
@@ -59,7 +69,8 @@ class Shapes:
 
     def line(self, slot: Slot, hertz: float) -> Hypothesis | None:
         """Return a line."""
-        places = 0.5 * self.evidence.basis[slot].n
+        basis = self.evidence.basis[slot]
+        places = line_places(hertz * basis.n * basis.interval_s, basis.n // 2)
         return self.library.trial("sinusoid", CHANNELS[slot[1]], {"frequency": hertz}, places)
 
     def _as_likely(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:

@@ -39,6 +39,8 @@ LEVELS = ("stated", "white", "sway", "flicker", "walk", "coloured")
 STATED, WHITE, SWAY, FLICKER, WALK, WIDE = range(len(LEVELS))
 """Levels of the noise family: as the model states, or in its proportions; white and quantisation free; a mount that
 sways as well (beside the model's proportions, where it gives them); or flicker as well; or a random walk; all free."""
+SHAPED = frozenset({STATED, SWAY})
+"""Those that go by the model's proportions where it gives them."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class Basis:
     """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms).
 
     The first ``fast`` terms are white noise and rounding, the next are flicker and random walk. ``shape`` (b,): white
-    noise, flicker and random walk in the proportions of a model that leaves their size free.
+    noise, flicker and random walk in the proportions of a model that leaves their size free; ``slow`` (b,): how much of
+    flicker and random walk there is at least.
     """
 
     bounds: NDArray[np.int64]
@@ -57,6 +60,7 @@ class Basis:
     interval_s: float
     fast: int = 2
     shape: Array | None = None
+    slow: Array | None = None
 
     @property
     def frequency_hz(self) -> Array:
@@ -93,9 +97,14 @@ class Basis:
             free = np.ascontiguousarray(self.power[:, self.terms(level)])
             found[level, False] = free, np.median(free, axis=0)
             if self.shape is not None:
-                shaped = np.column_stack([self.shape, free[:, 1:]]) if level in (STATED, SWAY) else free
+                shaped = np.column_stack([self.shape, free[:, 1:]]) if level in SHAPED else free
                 found[level, True] = shaped, np.median(shaped, axis=0)
         return found
+
+    def slow_missing(self, size: float) -> Array:
+        """Return what slow noise (b,) there is at least beyond that of so much of ``shape``."""
+        assert self.slow is not None
+        return max(1.0 - size / FREE_SHARE**2, 0.0) * self.slow
 
     def stated(self, noise: ChannelNoise, floor: float, moved: Array | None = None) -> Array:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
@@ -277,8 +286,12 @@ def fit_noise(
         columns, typical = basis.families[level, shape is not None]
         variances = start / np.maximum(typical, 1e-300)
         variances[1:] *= 0.1
-        climb(columns, rss, freedom, floor, variances, 150, max(lowest, 0 if blocks else 1))
-        power = floor + columns @ variances
+        in_shape = basis.slow if shape is not None and level in SHAPED else None
+        under = floor if in_shape is None else np.maximum(floor - in_shape, 0.0)
+        climb(columns, rss, freedom, under, variances, 150, max(lowest, 0 if blocks else 1))
+        power = under + columns @ variances
+        if in_shape is not None:
+            power += basis.slow_missing(float(variances[0]))
         cost = penalty[FLICKER if level == SWAY and not sways else level]
         value = _value(rss, freedom, power) - cost
         if best is None or value > best.value:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from simulators.discrepancy.whitening import SWAY, cosine_basis
+from inertial.documents import ChannelNoise
+from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, Basis, cosine_basis, fit_noise
 
 COUNT, INTERVAL_S, RECORDS = 4096, 0.01, 60
 
@@ -36,3 +38,29 @@ def test_a_mount_that_sways_acts_on_accelerometers_by_its_angle_and_on_gyros_by_
     ratio /= np.average(ratio, weights=counted)
     bounds = np.array(chi2.interval(1.0 - 1e-3 / len(counted), counted)) / counted
     assert np.all((bounds[0] < ratio) & (ratio < bounds[1])), ratio
+
+
+@pytest.mark.parametrize("stated_times", [0.5, 1.0, 2.0])
+def test_noise_in_the_proportions_of_a_model_that_errs_in_its_size_is_found_at_its_size(stated_times: float) -> None:
+    """A model that leaves its noise free knows its proportions: that some there is at least is in them already."""
+    basis, true, under = _of_proportions(stated_times)
+    found = fit_noise(basis, basis.counts * true, basis.counts, None, under)
+    assert found.level == STATED
+    assert found.power[1:] == pytest.approx(true[1:], rel=0.02)
+
+
+def test_of_slow_noise_there_is_the_least_share_even_where_white_noise_is_far_less() -> None:
+    basis, true, under = _of_proportions(1.0)
+    slow = (under - under.min()) / FREE_SHARE**2
+    quieter = 0.01 * (true - slow) + slow
+    found = fit_noise(basis, basis.counts * quieter, basis.counts, None, under, slow=False)
+    assert np.all(found.power > 0.9 * FREE_SHARE**2 * slow)
+
+
+def _of_proportions(stated_times: float) -> tuple[Basis, np.ndarray, np.ndarray]:
+    """Return a basis of a model that states noise so many times as large as it is, its power as it is, the least."""
+    basis = cosine_basis(COUNT, INTERVAL_S)
+    noise = ChannelNoise(white=stated_times, flicker=2.0 * stated_times, random_walk=0.1 * stated_times)
+    slow = FREE_SHARE**2 * basis.stated(noise.model_copy(update={"white": 0.0}), 0.0)
+    stated = basis.stated(noise, 0.0)
+    return replace(basis, shape=stated, slow=slow), stated / stated_times**2, slow + 1e-9 * stated.min()

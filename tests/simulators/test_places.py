@@ -9,12 +9,13 @@ import pytest
 from closed_form import RATE_HZ, WHITE, Truth, model, recording
 from scipy.stats import binom
 
-from simulators.discrepancy.atoms import Steps, score_of
+from simulators.discrepancy.atoms import Steps, best_line, score_of
 from simulators.discrepancy.candidates import STEP_PLACES, Library, to_cosine
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.ranking import Ranking
+from simulators.discrepancy.shapes import line_places
 from simulators.discrepancy.whitening import cosine_basis
 
 COUNT, RECORDS = 600, 3000
@@ -43,6 +44,25 @@ def test_steps_where_there_are_none_are_as_rare_as_their_price_says() -> None:
     for _ in range(RECORDS):
         step = steps.best(score_of(rng.standard_normal(COUNT), power, basis, spread), power)
         passed += bayes_factor(step.gain, 1, min(STEP_PLACES, 1.0 / step.alike)) > 3.0
+    assert passed <= binom.ppf(0.999, RECORDS, math.exp(-3.0))
+
+
+@pytest.mark.parametrize("most", [300, 10_000])
+def test_a_line_has_some_frequency_and_each_octave_is_as_likely(most: int) -> None:
+    """Prior probabilities add up to one; half of it is alike in each octave, where few frequencies are few places."""
+    chance = np.array([1.0 / line_places(cycles, most) for cycles in range(1, most + 1)])
+    assert chance.sum() == pytest.approx(1.0, rel=2e-3)
+    octaves = [chance[2**k - 1 : 2 ** (k + 1) - 1].sum() - 2**k * 0.5 / most for k in range(3, 8)]
+    assert octaves == pytest.approx([octaves[0]] * 5, rel=0.1)
+
+
+def test_lines_where_there_are_none_are_as_rare_as_their_price_says() -> None:
+    """As of steps."""
+    basis, spread, rng = cosine_basis(COUNT, 0.1), np.ones(COUNT), np.random.default_rng(12)
+    power, passed = np.ones(len(basis.counts)), 0
+    for _ in range(RECORDS):
+        hertz, gain = best_line(score_of(rng.standard_normal(COUNT), power, basis, spread), power, basis)
+        passed += bayes_factor(gain, 2, line_places(hertz * COUNT * 0.1, COUNT // 2)) > 3.0
     assert passed <= binom.ppf(0.999, RECORDS, math.exp(-3.0))
 
 
