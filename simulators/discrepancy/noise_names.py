@@ -14,6 +14,7 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS, ChannelNoise
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
+from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.mount_sway import FEWEST, Sway, find_sway
 from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
 from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
@@ -283,11 +284,12 @@ def _named(
             gain = log_likelihood(evidence, fit, _summed(power, beside, variances)) - value
             certain = gain / tails if effect in _OF_SAMPLES else gain
             trials.append((bayes_factor(certain, 1, _PLACES), gain, effect, variances, beside))
-        trials.sort(key=lambda trial: -trial[0])
-        score, gain, effect, variances, beside = trials[0]
-        if score < margin:
+        # What tails make less certain is how much there is; which of those that there are it is says the likelihood.
+        there = [trial for trial in trials if trial[0] >= margin]
+        if not there:
             break
-        ties = tuple(t[2] for t in trials[1:] if t[0] > score - 3.0)
+        score, gain, effect, variances, beside = max(there, key=lambda trial: trial[1])
+        ties = tuple(t[2] for t in trials if t[2] != effect and _surplus(gain, effect, t[1], t[2], tails) < TIE)
         size = math.sqrt(float(variances[-1]))
         sigma = _sigma(evidence, _summed(power, beside, variances), beside) / (2.0 * size)
         sigma *= math.sqrt(tails) if effect in _OF_SAMPLES else 1.0
@@ -295,6 +297,11 @@ def _named(
         power = {slot: now + variances[-1] * beside[slot][:, -1] for slot, now in power.items()}
         swayed, value = variances[:-1], value + gain
     return found, power, swayed
+
+
+def _surplus(gain: float, effect: str, other_gain: float, other: str, tails: float) -> float:
+    """Return by how much [nats] a term explains more than another, sizes of single samples as certain as tails leave."""
+    return (gain - other_gain) / (tails if {effect, other} & {*_OF_SAMPLES} else 1.0)
 
 
 def _channel_of(slots: Iterable[Slot]) -> str:

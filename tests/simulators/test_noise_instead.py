@@ -134,7 +134,7 @@ def test_a_line_beside_a_walk_is_held_against_no_more_than_the_walk_alone() -> N
 
     def change(true: Truth, readings: np.ndarray) -> None:
         walking(true, readings)
-        readings[:, 3] += 3.0 * WALK * np.sin(2.0 * np.pi * true["t"] / 20.0)
+        readings[:, 3] += 2.6 * WALK * np.sin(2.0 * np.pi * true["t"] / 20.0)
 
     evidence = Evidence(Library([compare(recording(change, 112, moving=False), model())]))
     bare = evidence.fit([])

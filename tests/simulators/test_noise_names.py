@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from closed_form import RATE_HZ, WHITE, model, recording
 from hidden_case import hidden_case
 
 from simulators.discrepancy.report import discrepancy
@@ -40,3 +43,21 @@ def test_an_error_in_the_form_of_a_large_name_is_no_larger_noise(tmp_path: Path)
     misfits = [(one["term"], one["amplitude"]) for one in report.document["remaining"]["misfits"]]
     assert misfits
     assert len(misfits) == len(set(misfits))
+
+
+def test_larger_white_noise_of_heavy_tails_is_white() -> None:
+    """Tails make its size less certain, and not its colour.
+
+    The mean of RUNS errors over their σ is standard normal over √RUNS, 99.9 %.
+    """
+    more, runs, off = np.sqrt(8.0) * WHITE["gyro"], 4, []
+    for run in range(runs):
+        case, rng = recording(None, 83 + run), np.random.default_rng(run)
+        samples = case.samples.copy()
+        wild = np.where(rng.random(len(samples)) < 0.05, 4.0, 1.0) / np.sqrt(1.75)
+        samples["dtheta"][:, 0] += more / np.sqrt(RATE_HZ) * wild * rng.standard_normal(len(samples))
+        (found,) = discrepancy([replace(case, samples=samples)], model()).findings
+        assert (found["effect"], found["channel"], found["alternatives"]) == ("random_walk", "gyro_x", [])
+        coefficient = found["parameters"]["coefficient"]
+        off.append((coefficient["value"] - more) / coefficient["sigma"])
+    assert abs(np.mean(off)) < 3.29 / np.sqrt(runs), off
