@@ -300,7 +300,7 @@ def _named(
 
 
 def _surplus(gain: float, effect: str, other_gain: float, other: str, tails: float) -> float:
-    """Return by how much [nats] a term explains more than another, sizes of single samples as certain as tails leave."""
+    """Return how much more [nats] a term explains than another, sizes of single samples as certain as tails leave."""
     return (gain - other_gain) / (tails if {effect, other} & {*_OF_SAMPLES} else 1.0)
 
 
