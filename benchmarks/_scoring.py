@@ -43,7 +43,8 @@ def score(truth: dict[str, Any], outcome: dict[str, Any]) -> dict[str, Any]:
         ties = [names for names in found if name in names]
         verdict = "named" if firsts else "tied" if ties else "missed"
         size = len((firsts or ties or [[]])[0])
-        effects.append({"effect": name[0], "channel": name[1], "d": entry["d"], "outcome": verdict, "tie_size": size})
+        sizes = {key: entry[key] for key in ("d", "d_got")}
+        effects.append({"effect": name[0], "channel": name[1], **sizes, "outcome": verdict, "tie_size": size})
     false = [names[0] for names in found if not (set(names) & ({*hidden, *allowed}))]
     estimates = [] if truth["family"] == "near_copy" else list(_inside(truth, report))
     held_out = [f["heldout_after"] for f in report["findings"] if f.get("heldout_after") is not None]
@@ -87,13 +88,16 @@ def flags(rows: Sequence[dict[str, Any]]) -> dict[str, list[bool]]:
     inside = [r for r in rows if r["category"] == "inside"]
     nulls = [r for r in rows if r["category"] == "null"]
     outside = [r for r in rows if r["category"] == "outside"]
-    strong = [e for r in inside for e in r["effects"] if e["d"] >= 10]
+    every = [e for r in inside for e in r["effects"]]
+    strong = [e for e in every if e["d"] >= 10]
     several = [r for r in inside if len(r["effects"]) > 1]
     return {
         "named_or_tied": [e["outcome"] != "missed" for e in strong],
         "named": [e["outcome"] == "named" for e in strong],
         "wrong_name": [bool(r["false"]) for r in inside if max(e["d"] for e in r["effects"]) >= 10],
-        "named_or_tied_d7": [e["outcome"] != "missed" for r in inside for e in r["effects"] if 6 <= e["d"] < 9],
+        "named_or_tied_got": [e["outcome"] != "missed" for e in every if e["d_got"] >= 10],
+        "named_or_tied_d7": [e["outcome"] != "missed" for e in every if 6 <= e["d"] < 9],
+        "named_or_tied_d7_got": [e["outcome"] != "missed" for e in every if 6 <= e["d_got"] < 9],
         "several_recall": [e["outcome"] != "missed" for r in several for e in r["effects"]],
         "several_precision": [i >= len(r["false"]) for r in several for i in range(len(r["findings"]))],
         "false_alarm": [bool(r["false"]) for r in nulls],

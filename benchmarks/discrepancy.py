@@ -27,8 +27,10 @@ CHUNK = 4
 LIMIT_S = 300
 BARS = {
     "named_or_tied": ("inside the library, d ≥ 10: named or tied", "≥ 0.99"),
+    "named_or_tied_got": ("… d ≥ 10 as an oracle gets it of that recording", "≥ 0.99"),
     "wrong_name": ("… with a wrong name", "≤ 0.005"),
     "named_or_tied_d7": ("inside, d = 7: named or tied", "≥ 0.95"),
+    "named_or_tied_d7_got": ("… d = 7 as an oracle gets it of that recording", "≥ 0.95"),
     "several_recall": ("two or three at once: recall", "≥ 0.97"),
     "several_precision": ("… precision", "≥ 0.98"),
     "false_alarm": ("nothing hidden: any false name", "≤ 0.01"),

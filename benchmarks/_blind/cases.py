@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -222,6 +223,7 @@ class _Draft:
         noise = self._noise()
         effects, d = self._effects(noise)
         odd, odd_facts = self._odd()
+        sent = self._to_be_sent(noise)
         readings, stamps = self._readings(effects, odd, noise)
         keep = self._kept(effects)
         clock = next((e.parameters["error"] for e in effects if e.name == "clock_scale"), 0.0)
@@ -245,7 +247,7 @@ class _Draft:
             "number": self.number,
             "category": self.category,
             "family": self.family,
-            "effects": [_entry(e, size) for e, size in zip(effects, d, strict=True)],
+            "effects": [_entry(e, size, self._got(e, sent, readings)) for e, size in zip(effects, d, strict=True)],
             "allowed": allowed,
             "motion": self.plan.motion,
             "climate": self.plan.climate,
@@ -299,7 +301,7 @@ class _Draft:
                 raise Redraw
             return effect, size
         if name in hidden.SENSOR:
-            return self._believable(effect, wanted, self.metric.size(hidden.sensor_shift(effect, self.world)))
+            return self._believable(effect, wanted, self._measure(effect, noise)(effect))
         measure = self._measure(effect, noise)
         if name == "quantisation":
             usual = self.believed[index(effect.channel)].quantisation
@@ -325,37 +327,63 @@ class _Draft:
             return math.inf
         return pair[0] if effect.channel.startswith(("accel", "all")) else pair[1]
 
-    def _measure(self, effect: Effect, noise: np.ndarray) -> Any:
+    def _measure(self, effect: Effect, noise: np.ndarray) -> Callable[[Effect], float]:
         """Return the function of an effect that gives its d."""
-        world, metric, name = self.world, self.metric, effect.name
-        if name in (*hidden.NOISE, "quantisation"):
+        if effect.name in _NOISE_NAMES:
             channel = index(effect.channel)
-            return lambda e: metric.noise_size(channel, _noisier(self.spectra[channel], e))
-        if name in ("latency", "clock_scale"):
-            return self._timed_size
+            return lambda e: self.metric.noise_size(channel, _noisier(self.spectra[channel], e))
+        shift = self._shift(effect, self._to_be_sent(noise))
+        return lambda e: self._beside(e).size(shift(e))
+
+    def _shift(self, effect: Effect, sent: np.ndarray) -> Callable[[Effect], np.ndarray]:
+        """Return the function of an effect that gives what it adds to the readings (n, 6) in the mean.
+
+        ``sent`` (n, 6): what would be sent with nothing hidden.
+        """
+        world, name = self.world, effect.name
+        if name in hidden.SENSOR:
+            return lambda e: hidden.sensor_shift(e, world)
+        if name == "latency":
+            still = self._unshaken()
+            return lambda e: hidden.delayed(e, still) - still.inputs
+        if name == "clock_scale":
+            return lambda e: self._clock_shift(e.parameters["error"])
         if name in hidden.SETUP:
-            return lambda e: metric.size(world.inputs_of(world.moved(**hidden.setup_of(e, world))) - world.inputs)
+            return lambda e: world.inputs_of(world.moved(**hidden.setup_of(e, world))) - world.inputs
         if name in ("axis_swap", "sign_flip", "unit_error"):
-            return lambda e: metric.size(hidden.reframe(e, world, world.inputs) - world.inputs)
+            return lambda e: hidden.reframe(e, world, world.inputs) - world.inputs
         noiseless, channel = self._noiseless(world.inputs), index(effect.channel)
         if name == "stuck_samples":
-            sent = self._to_be_sent(noise)
-            return lambda e: metric.size(hidden.stuck_shift(e, world, sent, noiseless))
+            return lambda e: hidden.stuck_shift(e, world, sent, noiseless)
         sigma = self.spectra[channel].white / math.sqrt(world.dt)
         if self.sway is not None:  # which nobody knows sample by sample either
             sigma = math.hypot(sigma, float(np.std(self._sway(self.rng.spawn(1)[0])[:, channel])))
-        return lambda e: metric.size(hidden.mean_read_out(e, world, noiseless, sigma))
+        return lambda e: hidden.mean_read_out(e, world, noiseless, sigma)
 
-    def _timed_size(self, effect: Effect) -> float:
-        """Size of a delay or of a clock's error, beside turns that may have been late by as much."""
+    def _beside(self, effect: Effect) -> oracle.Metric:
+        """What it is measured by: a delay or a clock's error beside turns that may have been late by as much."""
         if effect.name == "latency":
-            delay = effect.parameters["delay"]
-            beside = self.metric.beside(self._nuisance((delay, 0.0)))
-            still = self._unshaken()
-            return beside.size(hidden.delayed(effect, still) - still.inputs)
-        error = effect.parameters["error"]
-        # The wrong clock's samples begin where they do; those of a table that was late would begin so much before.
-        return self.metric.beside(self._nuisance((0.0, -error))).size(self._clock_shift(error))
+            return self.metric.beside(self._nuisance((effect.parameters["delay"], 0.0)))
+        if effect.name == "clock_scale":
+            # The wrong clock's samples begin where they do; those of a table that was late would begin so much before.
+            return self.metric.beside(self._nuisance((0.0, -effect.parameters["error"])))
+        return self.metric
+
+    def _got(self, effect: Effect, sent: np.ndarray, readings: np.ndarray) -> float:
+        """d of an effect as an oracle gets it of these readings (n, 6): the root of their own likelihood ratio.
+
+        ``sent`` (n, 6): what would have been sent with nothing hidden. The square is d² in the mean over noise.
+        """
+        if effect.name == "lost_samples":
+            return CERTAIN
+        if effect.name in _NOISE_NAMES:
+            channel = index(effect.channel)
+            left = (readings - self._noiseless(self.world.inputs))[:, channel]
+            return self.metric.noise_got(channel, _noisier(self.spectra[channel], effect), left)
+        believed = self._noiseless(self.world.inputs_of(self.stated))
+        for channel, value, _, truth in self.known:
+            believed[:, channel] += value - truth
+        return self._beside(effect).got(self._shift(effect, sent)(effect), sent - believed)
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = self._unshaken()
@@ -548,7 +576,7 @@ def _noisier(spectrum: Spectrum, effect: Effect) -> Spectrum:
     return replace(spectrum, **{key: math.hypot(getattr(spectrum, key), effect.parameters["coefficient"])})
 
 
-def _search(effect: Effect, wanted: float, measure: Any, limit: float) -> tuple[Effect, float]:
+def _search(effect: Effect, wanted: float, measure: Callable[[Effect], float], limit: float) -> tuple[Effect, float]:
     """Find the multiple of an effect whose d is as wanted, within 3 %, by secants in the logarithm."""
     factor, previous = 1.0, None
     for _ in range(25):
@@ -568,7 +596,7 @@ def _search(effect: Effect, wanted: float, measure: Any, limit: float) -> tuple[
     raise Redraw
 
 
-def _entry(effect: Effect, size: float) -> dict[str, Any]:
+def _entry(effect: Effect, size: float, got: float) -> dict[str, Any]:
     """What the truth says of one effect, parameters as `docs/effects.md` names them."""
     return {
         "effect": effect.name,
@@ -576,4 +604,5 @@ def _entry(effect: Effect, size: float) -> dict[str, Any]:
         "parameters": dict(effect.parameters),
         "twist": effect.twist,
         "d": size,
+        "d_got": got,
     }

@@ -79,6 +79,23 @@ class Metric:
         """d of a shift of the readings (n, 6)."""
         return float(np.linalg.norm(self.project(self.whiten(shift))))
 
+    def got(self, shift: np.ndarray, noise: np.ndarray) -> float:
+        """d that a shift (n, 6) comes to beside the noise (n, 6) that there is: √ of twice ln of the likelihood ratio.
+
+        None where the readings are likelier without.
+        """
+        effect, beside = self.project(self.whiten(shift)), self.project(self.whiten(noise))
+        return float(np.sqrt(max(effect @ effect + 2.0 * (effect @ beside), 0.0)))
+
+    def noise_got(self, channel: int, other: Spectrum, left: np.ndarray) -> float:
+        """d of another noise on one channel, of which this (n,) is left."""
+        count, dt = self.world.count, self.world.dt
+        frequency = np.arange(1, count) / (2 * count * dt)
+        usual = self.spectra[channel].density(frequency, dt)
+        ratio = other.density(frequency, dt) / usual
+        power = dct(left, norm="ortho")[1:] ** 2 / (usual / dt)
+        return float(np.sqrt(max(np.sum(power * (1 - 1 / ratio) - np.log(ratio)), 0.0)))
+
     def noise_size(self, channel: int, other: Spectrum) -> float:
         """d of another noise on one channel: twice the Kullback-Leibler divergence of the two, by Whittle."""
         count, dt = self.world.count, self.world.dt
