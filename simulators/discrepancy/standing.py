@@ -335,8 +335,7 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float, far_share: fl
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
     Those far about it, who need say but a share, know best what goes on all the time, those next to it whether the
-    input itself swung so far: a
-    register that stood still is off both. Nothing is astray where the input swings as far before or after it.
+    input itself swung so far: a register that stood still is off both. Nothing is astray where the input swings as far before or after it.
     """
     if _swings(off, a, b):
         return 0.0
