@@ -237,8 +237,8 @@ class Evidence:
             if stated is not None:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
+        self._torn[slot] = _torn(gaps, noise.quantisation, basis)
         if stated is not None:
-            self._torn[slot] = _torn(gaps, noise.quantisation, basis)
             stated = stated + self._torn[slot]
         self.stated[slot] = stated
         if not declared and any((noise.white, noise.flicker, noise.random_walk)):

@@ -345,6 +345,18 @@ def test_a_coarser_step_has_errors_of_a_colour_of_its_own() -> None:
     assert found["parameters"]["step"]["value"] == pytest.approx(1.6 * step, rel=1e-3)
 
 
+def test_beside_a_coarser_step_than_a_free_model_states_a_shift_is_found() -> None:
+    step, case = 4.0 * WHITE["gyro"] / np.sqrt(RATE_HZ), recording(None, 82, moving=False)
+    samples = case.samples.copy()
+    coarser = in_steps(samples["dtheta"][:, 0] + 3e-6 / RATE_HZ, 1.6 * step)
+    samples["dtheta"] = in_steps(samples["dtheta"], step)
+    samples["dtheta"][:, 0] = coarser
+    report = discrepancy([replace(case, samples=samples)], model_in_steps(step, free=True))
+    (found,) = report.findings
+    assert (found["effect"], found["channel"]) == ("bias_shift", "gyro_x")
+    assert found["parameters"]["shift"]["value"] == pytest.approx(3e-6, abs=3.3 * found["parameters"]["shift"]["sigma"])
+
+
 def test_larger_white_noise_takes_its_rounding_along() -> None:
     """Noise of 1.28 times the stated size jolts a readout in steps of 3 σ: its errors are whiter than stated.
 
