@@ -190,7 +190,11 @@ def _standing(
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         far_share = _FAR_SHARE if b - a > _LONGER * by_custom else 1.0
-        as_is, without_ends = (_astray(one, int(a), int(b), step, math.hypot(noise, jolt), far_share) for one in offs)
+        begun, over = _as_still(driven.turning, int(a), int(b))
+        as_is, without_ends = (
+            _astray(one[begun:over], int(a) - begun, int(b) - begun, step, math.hypot(noise, jolt), far_share)
+            for one in offs
+        )
         leapt = tilted and _let_go(off, int(b), step, noise)
         if leapt:
             astray = as_is  # a turn that comes late leaves an attitude late, not all at once right
@@ -209,6 +213,17 @@ def _standing(
         if b - a >= chance or astray > (_FAR_ASTRAY if short else _ASTRAY):
             found.append((int(a) + 1, int(b)))
     return found
+
+
+def _as_still(turning: NDArray[np.bool_], a: int, b: int) -> tuple[int, int]:
+    """Return from where to where a block stands still about a run; all there is, if it turns meanwhile.
+
+    What a turn does to readings beside a run at rest says nothing of it.
+    """
+    if turning[a : b + 1].any():
+        return 0, turning.size
+    before, behind = np.flatnonzero(turning[:a]), np.flatnonzero(turning[b + 1 :])
+    return (int(before[-1]) + 1 if before.size else 0), (b + 1 + int(behind[0]) if behind.size else turning.size)
 
 
 def _at_limit(
@@ -335,7 +350,8 @@ def _astray(off: Array, a: int, b: int, step: float, noise: float, far_share: fl
     """Return how far the sum over a run is off what its neighbours say, over what it may be off.
 
     Those far about it, who need say but a share, know best what goes on all the time, those next to it whether the
-    input itself swung so far: a register that stood still is off both. Nothing is astray where the input swings as far before or after it.
+    input itself swung so far: a register that stood still is off both. Nothing is astray where the input swings as far
+    before or after it.
     """
     if _swings(off, a, b):
         return 0.0

@@ -86,6 +86,10 @@ def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float
         # Among runs of three samples; turns on either side, about axes that are not the stated ones, make those far
         # about it uncertain witnesses.
         (90622, 355, 7.05),
+        # At rest, a second before a turn of which the same is true ...
+        (90625, 962, 0.370),
+        # ... and a tenth of a second behind one, in a mount that sways.
+        (90624, 450, 1.321),
     ],
 )
 def test_a_register_that_stood_still_is_found_though_what_goes_on_about_it_looks_like_it(
