@@ -88,6 +88,7 @@ class Evidence:
         self.base = len(library.columns)
         self.basis: dict[Slot, Basis] = {}
         self.stated: dict[Slot, Array | None] = {}
+        self._about: dict[Slot, Array | None] = {}  # as stated, or in the size that a model is unsure of
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
@@ -226,12 +227,14 @@ class Evidence:
         self.eased[slot] = float(np.mean(gaps.came) * np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
-        declared = not scene.model.noise.free and any((noise.white, noise.flicker, noise.random_walk))
+        says = any((noise.white, noise.flicker, noise.random_walk))
+        declared = says and not scene.model.noise.free
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
         at_least = (FREE_SHARE**2 if scene.model.noise.free else 1.0) * basis.stated(slow, 0.0)
         self.floor[slot] = basis.stated(noise.__class__(), lsb) + at_least
         moved = scene.motion(slot[1])
-        stated = basis.stated(noise, lsb, moved) if declared else None
+        about = basis.stated(noise, lsb, moved) if says else None
+        stated = about if declared else None
         if math.isfinite(scene.freely_rounded_hz(slot[1])):
             basis = basis.rounded(noise, moved)
             if stated is not None:
@@ -241,7 +244,8 @@ class Evidence:
         if stated is not None:
             stated = stated + self._torn[slot]
         self.stated[slot] = stated
-        if not declared and any((noise.white, noise.flicker, noise.random_walk)):
+        self._about[slot] = about if stated is None else stated
+        if says and not declared:
             shape = basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0)
             basis = replace(basis, shape=shape, slow=at_least)
         self.basis[slot] = basis
@@ -263,12 +267,13 @@ class Evidence:
         return felt
 
     def _least_power(self, slot: Slot) -> Array:
-        """Return the power (bins,) of noise in which nothing is slow, or that stated where it is less.
+        """Return the power (bins,) of noise in which nothing is slow, or that stated, if only about, where it is less.
 
-        As large as what is fast: what is slow, and may be far larger, is no noise before anything was fitted.
+        As large as what is fast: what is slow, and may be far larger, is no noise before anything was fitted. Nor is
+        what is fast where turns begin and end at other times than is said.
         """
-        stated, power = self.stated[slot], self.quiet(slot, self.inner[slot].residual2, _FAST).power
-        return power if stated is None else np.minimum(power, stated)
+        about, power = self._about[slot], self.quiet(slot, self.inner[slot].residual2, _FAST).power
+        return power if about is None else np.minimum(power, about)
 
     def _squares(self, slot: Slot, part: Array) -> Array:
         """Return the sums of squares (bins,) of coefficients (n,)."""

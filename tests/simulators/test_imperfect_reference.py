@@ -213,3 +213,13 @@ def test_a_delay_that_is_known_from_the_schedule_is_one_number_and_charged_for_a
     (found,) = discrepancy([case.recording], case.model).findings
     names = [found, *found["alternatives"]]
     assert (hidden["effect"], hidden["channel"]) in [(one["effect"], one["channel"]) for one in names]
+
+
+def test_that_turns_are_at_other_times_than_stated_leaves_what_the_table_is_unsure_of_felt(tmp_path: Path) -> None:
+    """A wrong clock: what 4 ms make of both ends of eight turns passed for noise beside which no angle was to be felt."""
+    case = hidden_case(90625, 850, tmp_path)
+    (hidden,) = case.truth["effects"]
+    (found,) = discrepancy([case.recording], case.model).findings
+    assert (found["effect"], found["alternatives"]) == ("clock_scale", [])
+    error = found["parameters"]["error"]
+    assert abs(error["value"] - hidden["parameters"]["error"]) < 3.3 * error["sigma"]
