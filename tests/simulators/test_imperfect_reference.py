@@ -216,7 +216,7 @@ def test_a_delay_that_is_known_from_the_schedule_is_one_number_and_charged_for_a
 
 
 def test_that_turns_are_at_other_times_than_stated_leaves_what_the_table_is_unsure_of_felt(tmp_path: Path) -> None:
-    """A wrong clock: what 4 ms make of both ends of eight turns passed for noise beside which no angle was to be felt."""
+    """A wrong clock: what 4 ms make of the ends of eight turns passed for noise beside which no angle is felt."""
     case = hidden_case(90625, 850, tmp_path)
     (hidden,) = case.truth["effects"]
     (found,) = discrepancy([case.recording], case.model).findings
