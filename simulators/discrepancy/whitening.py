@@ -32,7 +32,7 @@ _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
 FREE_SHARE = 0.5
 """Of noise of which a model knows the size about: so much is there at least."""
 _WEIGHED = 200  # rounds
-ROUNDED_AT = (0.5, 1.0, 2.0)
+ROUNDED_AT = (0.25, 0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
 LEVELS = ("stated", "white", "sway", "flicker", "walk", "coloured")
@@ -126,7 +126,7 @@ class Basis:
     def rounded(self, noise: ChannelNoise, moved: Array) -> Basis:
         """Return the basis for a readout in steps, as :meth:`stated` takes it, of which the model knows the size about.
 
-        Its rounding errors are white or not as the white noise is half to twice what the model says.
+        Its rounding errors are white or not as the white noise is a quarter to twice what the model says.
         """
         white_rounding = self.power[:, self.names.index("quantisation")]
         names, columns = [], []
