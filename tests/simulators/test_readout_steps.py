@@ -199,6 +199,18 @@ def test_the_largest_of_many_lines_beside_each_other_is_none(tmp_path: Path) -> 
     assert report.findings == [], report.document["text"]
 
 
+@pytest.mark.parametrize(("number", "names"), [(730, ["latitude_error"]), (768, [])])
+def test_noise_of_a_third_of_what_is_stated_leaves_lines_of_rounding_and_nothing_else(
+    number: int, names: list[str], tmp_path: Path
+) -> None:
+    """At rest: thirty lines that no name explains hid a latitude of 80 σ; the largest of them was a pick-up."""
+    case = hidden_case(90625, number, tmp_path)
+    assert case.truth["family"] == "noise_level"
+    report = discrepancy([case.recording], case.model)
+    assert [one["effect"] for one in report.findings] == names, report.document["text"]
+    assert report.document["remaining"]["empirical"] == []
+
+
 def test_sensors_exchanged_are_found_though_one_of_them_was_violently_shaken() -> None:
     """What shakes the other sensor has no mean of nought over two seconds: the blocks without it tell."""
     case = recording(None, 37)
