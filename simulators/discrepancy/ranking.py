@@ -200,7 +200,7 @@ class Ranking:
     def _is_rounding(self, one: Scored) -> bool:
         """Whether a line may be one of the rounding error.
 
-        It is no larger than the motion makes it with a quarter of the noise, or no evidence if noise is as large as beside it.
+        It is no larger than motion makes it with a quarter of the noise, or no evidence in noise as large as beside it.
         """
         h = one.hypothesis
         if h.effect != "sinusoid":
