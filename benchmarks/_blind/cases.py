@@ -295,14 +295,14 @@ class _Draft:
         name = effect.name
         if name == "lost_samples":
             return effect, CERTAIN
+        measure = self._measure(effect, noise)
         if not effect.sized:  # wiring, and saturation, which is large as soon as it touches a plateau
-            size = self._measure(effect, noise)(effect)
+            size = measure(effect)
             if size < 10:
                 raise Redraw
             return effect, size
         if name in hidden.SENSOR:
-            return self._believable(effect, wanted, self._measure(effect, noise)(effect))
-        measure = self._measure(effect, noise)
+            return self._believable(effect, wanted, measure(effect))
         if name == "quantisation":
             usual = self.believed[index(effect.channel)].quantisation
             effect = effect.times(1.5 * usual / effect.size)

@@ -82,7 +82,7 @@ class Metric:
     def got(self, shift: np.ndarray, noise: np.ndarray) -> float:
         """d that a shift (n, 6) comes to beside the noise (n, 6) that there is: √ of twice ln of the likelihood ratio.
 
-        None where the readings are likelier without.
+        0 where the readings are likelier without.
         """
         effect, beside = self.project(self.whiten(shift)), self.project(self.whiten(noise))
         return float(np.sqrt(max(effect @ effect + 2.0 * (effect @ beside), 0.0)))

@@ -247,7 +247,7 @@ class Evidence:
         self._about[slot] = about if stated is None else stated
         if says and not declared:
             shape = basis.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0)
-            basis = replace(basis, shape=shape, slow=at_least)
+            basis = replace(basis, shape=shape, least_slow=at_least)
         self.basis[slot] = basis
         self.inner[slot] = InnerProducts(self.library, slot, basis.bounds)
 

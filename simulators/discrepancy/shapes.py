@@ -29,8 +29,8 @@ def line_places(cycles: float, most: int) -> float:
     Half that of a frequency of unknown scale, alike in each octave (Jaynes 1968), and half that of a line above half
     the sampling rate, which comes down anywhere.
     """
-    octaves = 1.0 / (max(cycles, 1.0) * (math.log(most) + np.euler_gamma))
-    return 2.0 / (1.0 / most + float(octaves))
+    of_unknown_scale = 1.0 / (max(cycles, 1.0) * (math.log(most) + np.euler_gamma))
+    return float(2.0 / (1.0 / most + of_unknown_scale))
 
 
 class Shapes:

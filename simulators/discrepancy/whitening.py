@@ -48,8 +48,8 @@ class Basis:
     """Bins of coefficients of n samples: first of each bin (b + 1,), and power per unit variance (b, terms).
 
     The first ``fast`` terms are white noise and rounding, the next are flicker and random walk. ``shape`` (b,): white
-    noise, flicker and random walk in the proportions of a model that leaves their size free; ``slow`` (b,): how much of
-    flicker and random walk there is at least.
+    noise, flicker and random walk in the proportions of a model that leaves their size free; ``least_slow`` (b,): how
+    much of flicker and random walk there is at least.
     """
 
     bounds: NDArray[np.int64]
@@ -60,7 +60,7 @@ class Basis:
     interval_s: float
     fast: int = 2
     shape: Array | None = None
-    slow: Array | None = None
+    least_slow: Array | None = None
 
     @property
     def frequency_hz(self) -> Array:
@@ -103,8 +103,8 @@ class Basis:
 
     def slow_missing(self, size: float) -> Array:
         """Return what slow noise (b,) there is at least beyond that of so much of ``shape``."""
-        assert self.slow is not None
-        return max(1.0 - size / FREE_SHARE**2, 0.0) * self.slow
+        assert self.least_slow is not None
+        return max(1.0 - size / FREE_SHARE**2, 0.0) * self.least_slow
 
     def stated(self, noise: ChannelNoise, floor: float, moved: Array | None = None) -> Array:
         """Return the power (b,) of a model's noise, with a floor [y·s] for the rounding of the frame.
@@ -286,7 +286,7 @@ def fit_noise(
         columns, typical = basis.families[level, shape is not None]
         variances = start / np.maximum(typical, 1e-300)
         variances[1:] *= 0.1
-        in_shape = basis.slow if shape is not None and level in SHAPED else None
+        in_shape = basis.least_slow if shape is not None and level in SHAPED else None
         under = floor if in_shape is None else np.maximum(floor - in_shape, 0.0)
         climb(columns, rss, freedom, under, variances, 150, max(lowest, 0 if blocks else 1))
         power = under + columns @ variances

@@ -63,4 +63,4 @@ def _of_proportions(stated_times: float) -> tuple[Basis, np.ndarray, np.ndarray]
     noise = ChannelNoise(white=stated_times, flicker=2.0 * stated_times, random_walk=0.1 * stated_times)
     slow = FREE_SHARE**2 * basis.stated(noise.model_copy(update={"white": 0.0}), 0.0)
     stated = basis.stated(noise, 0.0)
-    return replace(basis, shape=stated, slow=slow), stated / stated_times**2, slow + 1e-9 * stated.min()
+    return replace(basis, shape=stated, least_slow=slow), stated / stated_times**2, slow + 1e-9 * stated.min()
