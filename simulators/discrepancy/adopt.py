@@ -17,12 +17,12 @@ from scipy.fft import idct
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
-from simulators.discrepancy.margins import MARGIN, TIE
+from simulators.discrepancy.margins import FURTHER, MARGIN, TIE
 from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.two_names import Together, in_place_of_curve, together
+from simulators.discrepancy.two_names import Together, in_place_of_curve, in_place_of_two, together
 
 Progress = Callable[[float, str], None]
 
@@ -79,11 +79,11 @@ class Search:
 
 
 class Searcher:
-    """One search over a library."""
+    """One search over a library; ``beside`` whether names were found, and undone, before it."""
 
-    def __init__(self, evidence: Evidence, progress: Progress | None = None) -> None:
+    def __init__(self, evidence: Evidence, progress: Progress | None = None, *, beside: bool = False) -> None:
         self.evidence, self.library, self.ranking = evidence, evidence.library, Ranking(evidence)
-        self.progress = progress or _silent
+        self.progress, self.beside = progress or _silent, beside
 
     def run(self) -> Search:
         """Search until nothing more passes the margin."""
@@ -100,6 +100,7 @@ class Searcher:
             if len(adopted) == known:
                 break
             adopted, current = self.ranking.polish(*self._settle(adopted, current, adopted[:known]))
+            adopted, current = in_place_of_two(self.ranking, adopted, current) or (adopted, current)
             if self.evidence.restate(current.rss):
                 bare, current = self.evidence.fit([]), self.ranking.fit_of(adopted)
         adopted, current = self._settle(adopted, current, adopted, _AT_LAST)
@@ -134,14 +135,19 @@ class Searcher:
             return best_retuned(self.ranking, best, adopted, current)
         if best is not None and best.hypothesis.kind is Kind.REFERENCE:
             return [*adopted, best.hypothesis], best.fit
-        pair = together(self.ranking, adopted, current)
+        pair = together(self.ranking, adopted, current, self._margin(adopted))
         if pair is not None and (best is None or pair[0] > best.score - TIE):
             return pair[1:]
         if best is None:
             return self._swallowed(adopted, current)
         return in_place_of_curve(self.ranking, best, adopted, current) or ([*adopted, best.hypothesis], best.fit)
 
+    def _margin(self, adopted: Sequence[Hypothesis]) -> float:
+        """Return the evidence that the next name must have."""
+        return FURTHER if self.beside or any(h.kind is Kind.NAMED for h in adopted) else MARGIN
+
     def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
+        margin = self._margin(adopted)
         scored = self.ranking.rank(current, adopted)
         named = [s for s in scored if s.hypothesis.kind is Kind.NAMED and not self._is_noise(s, current)]
         other = [s for s in scored if s.hypothesis.kind is Kind.REFERENCE]
@@ -158,14 +164,14 @@ class Searcher:
         certain = -math.inf if best is None else self._certain(best, named)
         if (
             curve is not None
-            and curve.score > MARGIN + (_LIKE_IT * certain if certain > MARGIN else 0.0)
-            and beyond_noise(self.evidence, curve, current)[0] > MARGIN
+            and curve.score > margin + (_LIKE_IT * certain if certain > margin else 0.0)
+            and beyond_noise(self.evidence, curve, current)[0] > margin
         ):
             pair = self._pair(named[:4], adopted, curve)
             if pair is not None:
                 return pair
             return curve
-        return best if certain > MARGIN else None
+        return best if certain > margin else None
 
     def _is_noise(self, one: Scored, current: Fit) -> bool:
         """Whether a name is the worse explanation than larger noise, by much unless that is certain of itself.

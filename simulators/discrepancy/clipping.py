@@ -67,7 +67,7 @@ def _clipped(
     largest = came & (inputs >= np.quantile(inputs[came], 1.0 - _FEWEST / max(came.sum(), _FEWEST)))
     limit = float(np.median(size[largest]))
     # What a limit does to slow noise, single samples hardly show.
-    coarse, white = max(noise, step), max(min(noise, float(scene.noise_sigma[column])), _RESOLUTION * step)
+    coarse, white = max(noise, step), max(min(noise, float(scene.noise_found[column])), _RESOLUTION * step)
     beyond = came & (inputs > limit + _BEYOND * white)
     # Not those where the input comes or goes within the window.
     inner = beyond & (uniform_filter1d(beyond.astype(np.float64), _WINDOW, mode="nearest") > 1.0 - 0.5 / _WINDOW)

@@ -139,8 +139,8 @@ class Scene:
         return tuple(Gaps.of(missing) for missing in self.data.missing.T)
 
     @cached_property
-    def noise_sigma(self) -> Array:
-        """Return the 1σ of the white noise of a single sample (6,) [y]: as stated, or as found where that is far off.
+    def noise_found(self) -> Array:
+        """Return the 1σ of the white noise of a single sample (6,) [y] as found.
 
         It is looked for below the frequencies of rounding: in a band of the spectrum, which a line does not change, and
         between neighbouring means, which a course that jumps now and then does not. What silences a part of the samples
@@ -152,11 +152,15 @@ class Scene:
         hertz = np.arange(len(left)) / (2.0 * len(left) * self.seen.interval_s)
         band = (hertz > _WHITE_HZ[0]) & (hertz < _WHITE_HZ[1])
         found = np.sqrt(np.median(power[band], axis=0) / _MEDIAN_OF_SQUARES)
-        found = np.minimum(found, _between_means(left, max(1, round(_MEANS_S / self.seen.interval_s))))
+        return np.minimum(found, _between_means(left, max(1, round(_MEANS_S / self.seen.interval_s))))
+
+    @cached_property
+    def noise_sigma(self) -> Array:
+        """Return the 1σ of the white noise of a single sample (6,) [y]: as stated, or as found where that is larger."""
         if self.model.noise.free:
-            return np.asarray(found)
+            return self.noise_found
         stated = np.array([getattr(self.model.noise, name).white for name in CHANNELS]) / np.sqrt(self.seen.interval_s)
-        return np.where(found < _FAR_OFF * stated, stated, found)
+        return np.where(self.noise_found < _FAR_OFF * stated, stated, self.noise_found)
 
     def freely_rounded_hz(self, column: int) -> float:
         """Return the frequency above which a channel's rounding errors may show, see :func:`freely_rounded_hz`.

@@ -116,11 +116,19 @@ def _plans(evidence: Evidence) -> tuple[_Plan, ...]:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """One name or two that stand in the place of a leader, or of it and one other."""
+
+    names: Sequence[Hypothesis]
+    but: Hypothesis | None = None
+
+
+@dataclass(frozen=True)
 class Question:
-    """A leader and its nearest rivals, of one name or of two that do it together, and larger noise if that ties."""
+    """A leader and its nearest rivals, and larger noise if that ties."""
 
     leader: Hypothesis
-    rivals: Sequence[Sequence[Hypothesis]]
+    rivals: Sequence[Rival]
     instead: NoiseInstead | None
 
 
@@ -128,15 +136,15 @@ def propose(evidence: Evidence, fit: Fit, questions: Sequence[Question]) -> list
     """Return for each question the recordings, the most telling between leader and rivals first."""
     scene = evidence.library.scenes[0]
     model = scene.model.model_copy(update={"noise": _noise(evidence, fit)})
-    names = {h.name for asked in questions for h in (asked.leader, *itertools.chain(*asked.rivals))}
+    names = {asked.leader.name for asked in questions}
+    for rival in itertools.chain(*(asked.rivals for asked in questions)):
+        names |= {h.name for h in (*rival.names, *([rival.but] if rival.but else []))}
     answers: list[list[Proposal]] = [[] for _ in questions]
     for plan in _plans(evidence) if questions else ():
         imagined = Evidence(Library([_imagined(scene, model, plan)], only=names))
         for answer, asked in zip(answers, questions, strict=True):
-            leader = asked.leader
-            amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in leader.columns])
-            nats = _expected(imagined, asked, amplitude)
-            answer.append(Proposal(plan.name, plan.text, f"{leader.effect} on {leader.channel}", nats))
+            name = f"{asked.leader.effect} on {asked.leader.channel}"
+            answer.append(Proposal(plan.name, plan.text, name, _expected(imagined, asked, fit)))
     return [sorted(answer, key=lambda p: -p.expected_nats) for answer in answers]
 
 
@@ -225,26 +233,35 @@ def _imagined(scene: Scene, model: BlockModel, plan: _Plan) -> Scene:
     return replace(imagined, measured=imagined.predicted.copy())
 
 
-def _expected(evidence: Evidence, asked: Question, amplitude: Array) -> float:
+def _expected(evidence: Evidence, asked: Question, fit: Fit) -> float:
     library, leader = evidence.library, asked.leader
-    own = [h for h in library.hypotheses if h.name == leader.name]
-    if not own:
+    own = _imagine(library, leader, fit)
+    if own is None:
         return 0.0
-    wanted = min(own, key=lambda h: _shape_distance(h, leader))
-    least = np.inf
-    others: list[Sequence[Hypothesis]] = [()]
-    for names in {tuple(h.name for h in rival) for rival in asked.rivals}:
-        if leader.name not in names:  # counted from elsewhere, with a constant beside it: no recording tells that apart
-            others += itertools.product(*([h for h in library.hypotheses if h.name == name] for name in names))
     power = {slot: evidence.power(slot) for slot in evidence.slots}
-    for other in others:
-        columns = [i for h in other for i in h.columns]
-        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], columns))
+    least = _distance(evidence, power, [own], ())
+    rivals = {(tuple(h.name for h in one.names), one.but and one.but.name): one.but for one in asked.rivals}
+    for (names, _), but in rivals.items():
+        both = [own] if but is None else [own, _imagine(library, but, fit)]
+        told = [one for one in both if one is not None]
+        if leader.name not in names:  # counted from elsewhere, with a constant beside it: no recording tells that apart
+            for other in itertools.product(*([h for h in library.hypotheses if h.name == name] for name in names)):
+                least = min(least, _distance(evidence, power, told, [i for h in other for i in h.columns]))
     if asked.instead is not None:
         slot = 0, CHANNELS.index(asked.instead.channel)
         power[slot] = evidence.basis[slot].stated(asked.instead.noise, 0.0)
-        least = min(least, _distance(evidence, power, wanted, amplitude[: len(wanted.columns)], ()))
-    return float(least)
+        least = min(least, _distance(evidence, power, [own], ()))
+    return least
+
+
+def _imagine(library: Library, adopted: Hypothesis, fit: Fit) -> tuple[Hypothesis, Array] | None:
+    """Return what is most like an adopted name in an imagined recording, and its amplitudes; none if nothing is."""
+    own = [h for h in library.hypotheses if h.name == adopted.name]
+    if not own:
+        return None
+    wanted = min(own, key=lambda h: _shape_distance(h, adopted))
+    amplitude = np.array([fit.amplitude[fit.ids.index(i)] for i in adopted.columns])
+    return wanted, amplitude[: len(wanted.columns)]
 
 
 def _shape_distance(one: Hypothesis, two: Hypothesis) -> float:
@@ -255,11 +272,12 @@ def _shape_distance(one: Hypothesis, two: Hypothesis) -> float:
 
 
 def _distance(
-    evidence: Evidence, power: dict[Slot, Array], wanted: Hypothesis, amplitude: Array, others: Sequence[int]
+    evidence: Evidence, power: dict[Slot, Array], told: Sequence[tuple[Hypothesis, Array]], others: Sequence[int]
 ) -> float:
-    """Return half the squared whitened length of what ``wanted`` adds and neither nuisances nor ``others`` imitate."""
-    ids = [*wanted.columns, *evidence.prior, *others]
-    k = len(wanted.columns)
+    """Return half the squared whitened length of what is ``told`` and neither nuisances nor ``others`` imitate."""
+    wanted, amplitude = [i for h, _ in told for i in h.columns], np.concatenate([size for _, size in told])
+    ids = [*wanted, *evidence.prior, *others]
+    k = len(wanted)
     matrix, _ = evidence.normal(ids, power)
     for place, i in enumerate(ids):
         if i in evidence.prior:

@@ -26,7 +26,7 @@ from simulators.discrepancy.influence import gains_but_one
 from simulators.discrepancy.lateness import as_late
 from simulators.discrepancy.margins import MARGIN, TIE
 from simulators.discrepancy.mount_sway import angle_rad
-from simulators.discrepancy.next_recording import Question, propose, propose_longer, propose_unseen
+from simulators.discrepancy.next_recording import Question, Rival, propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
@@ -114,7 +114,7 @@ def discrepancy(
         stuck += standing
         read_off += clipped + silenced
         outliers += wild
-    search = _searched(scenes, tell)
+    search = _searched(scenes, tell, beside=bool(mistakes or tags or stuck or read_off))
     limits, wired, stood = _limits(search), _wired(search), stood_between_steps(search)
     if limits or wired or stood:
         scenes = [reduce(without_limit, limits, scene) for scene in scenes]
@@ -123,7 +123,7 @@ def discrepancy(
         stuck += [one for _, one in stood]
         read_off += limits
         mistakes += wired
-        search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text))
+        search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text), beside=True)
     undone: list[Mistake | TimeTags] = [*mistakes, tags] if tags is not None else [*mistakes]
     report = _report(recordings, model, raw, scenes, search, undone, stuck, combined(read_off), outliers, tell)
     if out is not None:
@@ -140,12 +140,12 @@ def _mended(scenes: list[Scene], mistakes: list[Mistake]) -> list[Scene]:
     return [_rewired(scene, mistakes) for scene in scenes] if mistakes else scenes
 
 
-def _searched(scenes: list[Scene], tell: Progress) -> Search:
+def _searched(scenes: list[Scene], tell: Progress, *, beside: bool) -> Search:
     tell(0.1, "listing what could explain")
     library = Library(as_late(scenes))
     tell(0.25, "gathering")
     evidence = Evidence(library)
-    return Searcher(evidence, tell).run()
+    return Searcher(evidence, tell, beside=beside).run()
 
 
 def _limits(search: Search) -> list[ReadOff]:
@@ -310,7 +310,7 @@ def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:
 
 def _confidence(adopted: Adopted) -> float:
     """Return the probability of this name among those that were looked at, and that it is there at all."""
-    scores = [s.score for s in adopted.ties] + [pair.score for pair in adopted.pairs]
+    scores = [s.score for s in adopted.ties] + [adopted.score - pair.behind for pair in adopted.pairs]
     scores += [adopted.score - adopted.instead[1]] if adopted.instead is not None else []
     odds = sum(math.exp(min(score - adopted.score, 50.0)) for score in scores) + math.exp(-adopted.score)
     return 1.0 / (1.0 + odds)
@@ -327,13 +327,17 @@ def _alternatives(adopted: Adopted) -> list[dict[str, Any]]:
         for h, other in (pair.hypotheses, pair.hypotheses[::-1]):
             if h.name not in known:
                 known.add(h.name)
-                with_name = {"effect": other.effect, "channel": other.channel}
-                found.append({**_rival(h, adopted.score - pair.score), "together_with": with_name})
+                also = {"together_with": _told(other)} | ({"in_place_of_both": _told(pair.but)} if pair.but else {})
+                found.append({**_rival(h, pair.behind), **also})
     return found
 
 
 def _rival(hypothesis: Hypothesis, behind: float) -> dict[str, Any]:
-    return {"effect": hypothesis.effect, "channel": hypothesis.channel, "behind_nats": behind}
+    return {**_told(hypothesis), "behind_nats": behind}
+
+
+def _told(hypothesis: Hypothesis) -> dict[str, str]:
+    return {"effect": hypothesis.effect, "channel": hypothesis.channel}
 
 
 def _plain(
@@ -547,13 +551,13 @@ def _next(
     return [asdict(proposal) for proposal in propose_unseen(evidence, fit)]
 
 
-def _asked_of(adopted: Adopted) -> list[tuple[Hypothesis, ...]]:
-    """Return the names that a next recording is to tell one from: what ties with it, else its nearest rivals."""
-    tied: list[tuple[Hypothesis, ...]] = [(s.hypothesis,) for s in adopted.ties]
-    tied += [pair.hypotheses for pair in adopted.pairs]
+def _asked_of(adopted: Adopted) -> list[Rival]:
+    """Return what a next recording is to tell a name from: what ties with it, else its nearest rivals."""
+    tied = [Rival([s.hypothesis]) for s in adopted.ties]
+    tied += [Rival(pair.hypotheses, pair.but) for pair in adopted.pairs]
     if tied or adopted.instead is not None:
         return tied
-    return [(s.hypothesis,) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
+    return [Rival([s.hypothesis]) for s in adopted.rivals[:2] if s.hypothesis.kind is Kind.NAMED]
 
 
 def _child(model: BlockModel, added: list[EffectEntry]) -> BlockModel:

@@ -8,6 +8,7 @@ one. Two such names tie with the one found as a third name would.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
@@ -18,7 +19,7 @@ from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.noise_instead import beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
-from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, joint, pairs
+from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, exchanges, joint, of_two, pairs
 from simulators.discrepancy.whitening import STATED
 
 _LISTED = 8
@@ -46,6 +47,8 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
             entry.pairs = _pairs(ranking, own, rest, without)
             beyond, noise = beyond_noise(search.evidence, own, without)
             entry.instead = (noise, beyond) if noise is not None and noise.names and beyond < TIE else None
+    for first, second in combinations([one for one in asked if one.hypothesis.kind is Kind.NAMED], 2):
+        _exchanged(ranking, search, first, second)
 
 
 def _likelier(ranked: Sequence[Scored], again: Sequence[Scored]) -> list[Scored]:
@@ -94,5 +97,18 @@ def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: F
         if h.name in (pair[0].name, pair[1].name):
             score = max(score, own.score + fit.value - own.fit.value)  # the same in other words: the fit alone counts
         if score > own.score - TIE:
-            tied.append(Together((both[-2], both[-1]), score))
-    return sorted(tied, key=lambda one: -one.score)
+            tied.append(Together((both[-2], both[-1]), own.score - score))
+    return sorted(tied, key=lambda one: one.behind)
+
+
+def _exchanged(ranking: Ranking, search: Search, first: Adopted, second: Adopted) -> None:
+    """Add to the pairs of two that share a sensor what other two names would do as well as both of them."""
+    mine = first.hypothesis, second.hypothesis
+    rest = [one.hypothesis for one in search.adopted if one is not first and one is not second]
+    without = ranking.fit_of(rest, search.fit)
+    own = of_two(ranking, mine, search.fit.value - without.value)
+    tied = {s.hypothesis.name for one in (first, second) for s in one.ties}
+    for score, both, _ in exchanges(ranking, mine, rest, without, search.fit):
+        if not tied & {h.name for h in both[-2:]}:  # or it says again what each alone has said
+            first.pairs.append(Together((both[-2], both[-1]), own - score, mine[1]))
+            second.pairs.append(Together((both[-1], both[-2]), own - score, mine[0]))

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
-from simulators.discrepancy.margins import MARGIN, TIE
+from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.whitening import STATED
 
@@ -23,19 +25,23 @@ _ORDERS = 2.0  # in which two names can be named
 
 @dataclass(frozen=True)
 class Together:
-    """Two names of one sensor, shapes refined, and their Bayes factor [nats] less the penalty of looking for two."""
+    """Two names, shapes refined, and how far behind what they tie with they are [nats].
+
+    That is one name, or two, of which ``but`` is the other.
+    """
 
     hypotheses: tuple[Hypothesis, Hypothesis]
-    score: float
+    behind: float
+    but: Hypothesis | None = None
 
 
 def together(
-    ranking: Ranking, adopted: Sequence[Hypothesis], current: Fit
+    ranking: Ranking, adopted: Sequence[Hypothesis], current: Fit, margin: float
 ) -> tuple[float, list[Hypothesis], Fit] | None:
     """Return two names that only together explain what a wide noise model takes for noise: their score, fit of all.
 
-    Each alone leaves so much that the noise stays wide, in which it has gained next to nothing. Beside the score
-    stands what is adopted with them, for the shapes of the others may have changed.
+    Their score passes the ``margin``. Each alone leaves so much that the noise stays wide, in which it has gained next
+    to nothing. Beside the score stands what is adopted with them, for the shapes of the others may have changed.
     """
     wide = {slot[1]: slot for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
     if not wide:
@@ -44,10 +50,10 @@ def together(
     pool = ranking.unlike({h.name for h in adopted})
     best: tuple[float, list[Hypothesis], Fit] | None = None
     for channel, slot in wide.items():
-        for pair in pairs(ranking, [h for h in pool if ranking.channels(h) == {channel}], look, MARGIN):
+        for pair in pairs(ranking, [h for h in pool if ranking.channels(h) == {channel}], look, margin):
             timed = [_timed(ranking, h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
             score, both, fit = joint(ranking, timed, adopted, current)
-            if score > max(MARGIN, best[0] if best else 0.0):
+            if score > max(margin, best[0] if best else 0.0):
                 best = score, both, fit
     return best
 
@@ -76,22 +82,73 @@ def in_place_of_curve(
     return None if best is None else best[1:]
 
 
+def in_place_of_two(
+    ranking: Ranking, adopted: Sequence[Hypothesis], current: Fit
+) -> tuple[list[Hypothesis], Fit] | None:
+    """Return what is adopted with two names in the place of two that do worse by more than a tie; fit of all.
+
+    What goes best alone may not be what goes best with another: of three accelerometers two that are off are nearly
+    gravity, which leaves the third to be off by as much.
+    """
+    best: tuple[float, list[Hypothesis], Fit] | None = None
+    for first, second in combinations([h for h in adopted if h.kind is Kind.NAMED], 2):
+        rest = [h for h in adopted if h is not first and h is not second]
+        without = ranking.fit_of(rest, current)
+        own = of_two(ranking, (first, second), current.value - without.value)
+        for score, both, fit in exchanges(ranking, (first, second), rest, without, current):
+            if score > own + TIE and (best is None or score - own > best[0]):
+                best = score - own, both, fit
+    return None if best is None else best[1:]
+
+
+def exchanges(
+    ranking: Ranking, mine: tuple[Hypothesis, Hypothesis], rest: Sequence[Hypothesis], without: Fit, current: Fit
+) -> list[tuple[float, list[Hypothesis], Fit]]:
+    """Return the two other names each that do about as well as two adopted beside the rest: score, all, their fit.
+
+    Of two that share no sensor, one of the others must touch what both do: else each is asked for alone. What it does
+    elsewhere, the other may undo.
+    """
+    first, second = (ranking.channels(h) for h in mine)
+    others = ranking.unlike({h.name for h in (*mine, *rest)})
+    linking = [h for h in others if ranking.channels(h) & first and ranking.channels(h) & second]
+    reach = (first | second).union(*map(ranking.channels, linking))
+    pool = [h for h in others if ranking.channels(h) & reach]
+    links = [bool(first & second) or h in linking for h in pool]
+    least = of_two(ranking, mine, current.value - without.value) - TIE
+    look = Look(ranking.evidence, without, current.noise)
+    told = pairs(ranking, pool, look, least - SLACK_OF_TWO, np.array(links, dtype=np.bool_))
+    found = [joint(ranking, pair, rest, without) for pair in told]
+    return [one for one in found if one[0] > least]
+
+
 def joint(
     ranking: Ranking, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit
 ) -> tuple[float, list[Hypothesis], Fit]:
     """Return the score of two names beside those adopted; all of them, shapes refined; their fit."""
     both, fit = ranking.polish([*adopted, *pair], ranking.fit_of([*adopted, *pair], current))
-    pair = both[len(adopted) :]
-    count, places = sum(h.freedom for h in pair), math.prod(ranking.places(h) for h in pair) / _ORDERS
-    return bayes_factor(fit.value - current.value, count, places), both, fit
+    return of_two(ranking, both[len(adopted) :], fit.value - current.value), both, fit
 
 
-def pairs(ranking: Ranking, pool: Sequence[Hypothesis], look: Look, least: float) -> list[list[Hypothesis]]:
-    """Return the two names each that explain most together and promise more than ``least``, a few."""
+def of_two(ranking: Ranking, pair: Sequence[Hypothesis], gain: float) -> float:
+    """Return the Bayes factor [nats] of two names that gain so much, less the penalty of looking for two."""
+    places = math.prod(ranking.places(h) for h in pair) / _ORDERS
+    return bayes_factor(gain, sum(h.freedom for h in pair), places)
+
+
+def pairs(
+    ranking: Ranking, pool: Sequence[Hypothesis], look: Look, least: float, one_of: NDArray[np.bool_] | None = None
+) -> list[list[Hypothesis]]:
+    """Return the two names each that explain most together and promise more than ``least``, a few.
+
+    At least one of them is ``one_of`` the pool, where that is given.
+    """
     gains = look.pairs([h.columns[0] for h in pool])
     places = np.log([ranking.places(h) for h in pool])
     scores = gains - np.log(np.maximum(gains, 1.0)) - 1.0 - places[:, None] - places + math.log(_ORDERS)
-    scores = np.triu(scores, 1)
+    if one_of is not None:
+        scores = np.where(one_of[:, None] | one_of, scores, -math.inf)
+    scores = np.where(np.triu(np.ones_like(scores), 1) > 0.0, scores, -math.inf)
     found: dict[tuple[tuple[str, str], ...], list[Hypothesis]] = {}
     for place in np.argsort(-scores, axis=None)[:_LOOKED_AT]:
         i, j = divmod(int(place), len(pool))

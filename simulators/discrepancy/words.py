@@ -79,6 +79,8 @@ def alternatives(finding: dict[str, Any]) -> list[str]:
     for one in finding["alternatives"]:
         names = [_named(other) for other in (one, one.get("together_with")) if other]
         text = " with ".join("it counted from the usual" if name == own else name for name in names)
+        if but := one.get("in_place_of_both"):
+            text += f" in the place of it and the {_named(but)}"
         texts.setdefault(frozenset(names), text)
     return list(texts.values())
 

@@ -168,6 +168,17 @@ def test_a_limit_that_the_input_passes_by_one_sigma_leaves_no_lines(tmp_path: Pa
     assert abs(found["value"] - true["parameters"]["limit"]) < 3.3 * found["sigma"]
 
 
+def test_a_limit_met_with_a_third_of_the_stated_noise_is_no_scale_that_differs_by_sign(tmp_path: Path) -> None:
+    """Of the noise that is stated the input passes it by two σ, of the noise that is there by seven."""
+    case = hidden_case(90626, 241, tmp_path)
+    report = discrepancy([case.recording], case.model)
+    (found,) = report.findings
+    assert (found["effect"], found["channel"], found["alternatives"]) == ("saturation", "gyro_x", [])
+    (true,) = case.truth["effects"]
+    limit = found["parameters"]["limit"]
+    assert abs(limit["value"] - true["parameters"]["limit"]) < 3.3 * limit["sigma"]
+
+
 @pytest.mark.parametrize("noise_in_steps", [0.1, 0.2])
 def test_a_line_where_the_motion_makes_none_is_named_though_smaller_than_rounding_makes_elsewhere(
     noise_in_steps: float,

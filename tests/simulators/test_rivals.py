@@ -122,6 +122,56 @@ def test_two_names_of_one_sensor_are_no_curve_and_no_third_name_with_one(
     assert not report.document["remaining"]["empirical"]
 
 
+@pytest.mark.parametrize(("seed", "number"), [(90625, 981), (90621, 5)])
+def test_two_accelerometers_that_are_off_are_not_gravity_and_the_third(seed: int, number: int, tmp_path: Path) -> None:
+    """Gravity goes best alone; with the third to undo it, it does worse than the two that are off."""
+    case = hidden_case(seed, number, tmp_path)
+    report = discrepancy([case.recording], case.model)
+    told = [
+        {(one["effect"], one["channel"]), *((a["effect"], a["channel"]) for a in one["alternatives"])}
+        for one in report.findings
+    ]
+    hidden = {(one["effect"], one["channel"]) for one in case.truth["effects"]}
+    assert len(told) == len(hidden)
+    assert all(names & hidden for names in told)
+    assert not any(("gravity_error", "all") in names for names in told)
+
+
+def test_two_scale_factors_tie_with_gravity_and_the_third() -> None:
+    """Two accelerometers read 48 ppm too little: so they do in more gravity, if the third reads as much too little."""
+
+    def change(_: Truth, readings: np.ndarray) -> None:
+        readings[:, [0, 2]] *= 1.0 - 4.8e-5
+
+    report = discrepancy([recording(change, 5)], model())
+    names = [(one["effect"], one["channel"]) for one in report.findings]
+    assert sorted(names) == [("scale_factor", "accel_x"), ("scale_factor", "accel_z")]
+    for found, other in zip(report.findings, reversed(names), strict=True):
+        (gravity,) = (one for one in found["alternatives"] if one["effect"] == "gravity_error")
+        assert gravity["together_with"] == {"effect": "scale_factor", "channel": "accel_y"}
+        assert gravity["in_place_of_both"] == dict(zip(("effect", "channel"), other, strict=True))
+        assert abs(gravity["behind_nats"]) < 1.0
+        assert found["next_recording"][0]["expected_nats"] < 1.0  # nor would any other recording tell
+    assert "gravity error on all with scale factor on accel_y in the place of it and the" in report.document["text"]
+
+
+@pytest.mark.parametrize(("weak", "alone", "beside"), [(0.14, True, False), (0.3, True, True)])
+def test_a_further_name_must_be_surer_than_a_first(weak: float, alone: bool, beside: bool) -> None:
+    """The weaker drift has some 200 to 1 for it: enough where nothing else is found, not beside a shift that is."""
+
+    def drifts(true: Truth, readings: np.ndarray) -> None:
+        readings[:, 3] += weak * WHITE["gyro"] * np.sqrt(RATE_HZ) * (true["t"] - 0.5 * DURATION_S) / (0.5 * DURATION_S)
+
+    def shifted_too(true: Truth, readings: np.ndarray) -> None:
+        drifts(true, readings)
+        readings[:, 1] += 0.5 * ACCEL_SIGMA
+
+    found = {one["channel"] for one in discrepancy([recording(drifts, 2)], model()).findings}
+    assert found == ({"gyro_x"} if alone else set())
+    found = {one["channel"] for one in discrepancy([recording(shifted_too, 2)], model()).findings}
+    assert found == ({"accel_y", "gyro_x"} if beside else {"accel_y"})
+
+
 def test_names_that_are_one_and_the_same_at_rest_take_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine of them are a constant; what is next in line must not be crowded out."""
     monkeypatch.setattr(ranking, "_LEADERS", 3)
