@@ -190,12 +190,13 @@ def _together(search: Search, lines: Sequence[Adopted]) -> str | None:
 
 def _swallowed(one: Sparse) -> dict[str, Any]:
     """Return in words what a wide noise model had swallowed."""
-    parts = [f"{len(one.steps)} jumps"] if one.steps else []
+    count = len(one.steps)
+    parts = [f"{count} jump{'s' if count > 1 else ''}"] if count else []
     hertz = sorted(one.lines_hz)
     if len(hertz) > _MANY_LINES:
         parts.append(f"{len(hertz)} lines from {hertz[0]:.3g} to {hertz[-1]:.3g} Hz")
     elif hertz:
-        parts.append(f"lines at {', '.join(f'{line:.3g}' for line in hertz)} Hz")
+        parts.append(f"line{'s' if len(hertz) > 1 else ''} at {', '.join(f'{line:.3g}' for line in hertz)} Hz")
     if one.repeats_hz:
         parts = [f"a wave that repeats every {1.0 / one.repeats_hz:.3g} s"]
     if one.sweep_hz:
