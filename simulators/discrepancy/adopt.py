@@ -86,14 +86,16 @@ class Searcher:
         self.progress, self.beside = progress or _silent, beside
 
     def run(self) -> Search:
-        """Search until nothing more passes the margin."""
+        """Search until nothing more passes the margin, or two names have put each other out in turn."""
         bare = self.evidence.fit([])
         if self.evidence.restate(bare.rss) | self.evidence.stand(bare):
             bare = self.evidence.fit([])
         self._correct(bare)
         adopted: list[Hypothesis] = []
         current = bare
-        while len(adopted) < MOST_FINDINGS:
+        been: set[tuple[str, ...]] = set()
+        while len(adopted) < MOST_FINDINGS and (state := _state(adopted)) not in been:
+            been.add(state)
             self.progress(0.3 + 0.5 * len(adopted) / MOST_FINDINGS, f"looking beyond {len(adopted)} effects")
             known = len(adopted)
             adopted, current = self._with_new(current, adopted)
@@ -249,6 +251,11 @@ class Searcher:
             if bayes_factor(current.value - without.value, h.freedom, self.ranking.places(h)) < share * MARGIN:
                 return self._settle(rest, without, [other for other in judged if other is not h], share)
         return adopted, current
+
+
+def _state(adopted: Sequence[Hypothesis]) -> tuple[str, ...]:
+    """Return what is adopted, by names and about what shapes."""
+    return tuple(sorted(f"{h.name} {[f'{value:.2g}' for value in h.shape.values()]}" for h in adopted))
 
 
 def _silent(share: float, text: str) -> None:

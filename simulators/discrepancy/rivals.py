@@ -69,16 +69,20 @@ def _retuned(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without:
 
 
 def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]]:
-    """Return the names that leave a channel no larger noise and tie with it, and how far behind it they are [nats]."""
+    """Return the names that tie with a channel's larger noise, and how far behind it they are [nats].
+
+    They leave the channel no larger noise, or do better than it, though not by the margin that a name must have.
+    """
     evidence, column = search.evidence, CHANNELS.index(channel)
     slots = [slot for slot in evidence.slots if slot[1] == column]
     found = []
     for one in search.left():
         h = one.hypothesis
-        alone = h.kind is Kind.NAMED and evidence.channels(h.columns) == {column}
-        if alone and one.score > 0.0 and all(one.fit.noise[slot].level == STATED for slot in slots):
-            found.append((h, -beyond_noise(evidence, one, search.fit)[0]))
-    return [(h, behind) for h, behind in found if behind < TIE]
+        if h.kind is Kind.NAMED and evidence.channels(h.columns) == {column} and one.score > 0.0:
+            behind = -beyond_noise(evidence, one, search.fit)[0]
+            if behind < 0.0 or (behind < TIE and all(one.fit.noise[slot].level == STATED for slot in slots)):
+                found.append((h, behind))
+    return found
 
 
 def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:

@@ -8,6 +8,7 @@ a chord to how late it is known to have been (:mod:`.lateness`).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -57,8 +58,8 @@ def turn_errors(scene: Scene) -> list[TurnErrors]:
             TurnErrors(
                 place,
                 turn,
-                (start, *_across(scene, start, turn.start_s)),
-                (end, *_across(scene, end, turn.end_s)),
+                (start, *_across(scene, start, turn.start_s, start_s)),
+                (end, *_across(scene, end, turn.end_s, end_s)),
                 changed_by(scene, place, larger) / radians,
             )
         )
@@ -106,14 +107,15 @@ def _moved(turn: Turn, start_s: float, end_s: float) -> Turn:
     return replace(turn, start_s=turn.start_s + start_s, end_s=turn.end_s + end_s, rate_radps=rate)
 
 
-def _across(scene: Scene, change: Array, at_s: float) -> list[Array]:
+def _across(scene: Scene, change: Array, at_s: float, shift_s: float) -> list[Array]:
     """Return what a shift of a turn's start or end adds once it has passed the edge of a sample as analysed near by.
 
-    The rate jumps in the sample before or after then, where ``change`` (n, 6), which holds for smaller shifts, has it
-    in its own. With both, a shift across the edge is described.
+    The rate jumps in the sample before or after then, where ``change`` (n, 6), which holds for smaller shifts of the
+    sign of ``shift_s``, has it in its own. With both, a shift across the edge is described. Schedules are written in
+    whole seconds, so that turns begin and end on edges: the jump is in the sample that they are shifted into.
     """
     group, edges_s = scene.group, scene.data.edges_s[:: scene.group]
-    place = int(np.searchsorted(edges_s, at_s)) - 1
+    place = int(np.searchsorted(edges_s, at_s + math.copysign(0.5 * TIME_S, shift_s))) - 1
     if not 1 <= place < len(edges_s) - 3:
         return []
     found = []

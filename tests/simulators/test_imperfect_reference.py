@@ -158,9 +158,12 @@ def test_a_span_is_widened_to_where_it_was_felt_and_no_further(late_s: float, st
     assert found.end_s == pytest.approx(120.0 + max(late_s, 0.0), abs=0.03)
 
 
-def test_a_turn_that_begins_in_the_sample_before_the_stated_one_is_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stated 4.2 ms after a sample's edge, it begins 0.2 ms before: the rate jumps where none is foretold to."""
-    stated_s, real_s, end_s, angle_deg = 50.0042, 49.9998, 60.0, 90.0
+@pytest.mark.parametrize("stated_s", [50.0, 50.0042])
+def test_a_turn_that_begins_in_the_sample_before_the_stated_one_is_no_step(
+    stated_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stated on a sample's edge or 4.2 ms after it, it begins 0.2 ms before: the rate jumps where none is foretold."""
+    real_s, end_s, angle_deg = 49.9998, 60.0, 90.0
     real = (real_s, end_s, angle_deg / (end_s - real_s), 1)
     monkeypatch.setattr(closed_form, "TURNS", (closed_form.TURNS[0], real, *closed_form.TURNS[2:]))
     sample = round(50.0 * closed_form.RATE_HZ) - 1

@@ -98,6 +98,16 @@ def test_larger_noise_that_a_name_does_as_well_as_ties_with_it(tmp_path: Path) -
     assert all(one["behind_nats"] < 3.0 for one in found["alternatives"])
 
 
+@pytest.mark.parametrize(("seed", "number"), [(90625, 510), (90627, 267)])
+def test_a_further_name_short_of_its_margin_ties_with_the_noise_that_is_named_in_its_place(
+    seed: int, number: int, tmp_path: Path
+) -> None:
+    """A transient and a drift, each beside another name: 150 to 300 to one, but a walk was told and no word of them."""
+    case = hidden_case(seed, number, tmp_path)
+    told = set().union(*map(names_of, discrepancy([case.recording], case.model).findings))
+    assert {(one["effect"], one["channel"]) for one in case.truth["effects"]} <= told
+
+
 def test_a_curve_that_explains_no_more_than_larger_noise_does_is_nothing_unknown(tmp_path: Path) -> None:
     case = hidden_case(90618, 15, tmp_path)
     report = discrepancy([case.recording], case.model)

@@ -12,9 +12,10 @@ from closed_form import DURATION_S, RATE_HZ, WHITE, Truth, model, recording
 from hidden_case import hidden_case
 
 from simulators.discrepancy import ranking
-from simulators.discrepancy.candidates import Library
+from simulators.discrepancy.adopt import Searcher
+from simulators.discrepancy.candidates import Hypothesis, Library
 from simulators.discrepancy.compare import compare
-from simulators.discrepancy.evidence import Evidence
+from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.margins import MARGIN
 from simulators.discrepancy.report import discrepancy
 
@@ -170,6 +171,30 @@ def test_a_further_name_must_be_surer_than_a_first(weak: float, alone: bool, bes
     assert found == ({"gyro_x"} if alone else set())
     found = {one["channel"] for one in discrepancy([recording(shifted_too, 2)], model()).findings}
     assert found == ({"accel_y", "gyro_x"} if beside else {"accel_y"})
+
+
+def test_a_search_in_which_two_names_put_each_other_out_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [("bias_shift", "accel_x"), ("bias_shift", "accel_y")]
+    evidence = Evidence(Library([compare(recording(None, 90), model())], only=set(names)))
+    pair = [next(h for h in evidence.library.hypotheses if h.name == name) for name in names]
+    rounds = []
+
+    def with_the_other(self: Searcher, current: Fit, adopted: list[Hypothesis]) -> tuple[list[Hypothesis], Fit]:
+        rounds.append(adopted)
+        if len(rounds) > 10:
+            pytest.fail("the search goes round and round")
+        new = pair[1] if pair[0] in adopted else pair[0]
+        return [*adopted, new], self.ranking.fit_of([*adopted, new], current)
+
+    def without_the_first(
+        self: Searcher, adopted: list[Hypothesis], current: Fit, judged: list[Hypothesis], share: float = 0.5
+    ) -> tuple[list[Hypothesis], Fit]:
+        left = [h for h in adopted if share > 0.5 or h not in judged]
+        return left, self.ranking.fit_of(left, current)
+
+    monkeypatch.setattr(Searcher, "_with_new", with_the_other)
+    monkeypatch.setattr(Searcher, "_settle", without_the_first)
+    assert len(Searcher(evidence).run().adopted) == 1
 
 
 def test_names_that_are_one_and_the_same_at_rest_take_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
