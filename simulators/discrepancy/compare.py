@@ -21,6 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from drivers.recording import Recording, RecordingError, read_recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry
 from inertial.error_model import Coefficients, readings_from_true
+from simulators.discrepancy.coarse_alignment import azimuth_by_gyros, levelled
 from simulators.discrepancy.repair import Gaps, Repaired, repair
 from simulators.discrepancy.second_differences import MEAN_SIZE, ordinary_mean, second_differences
 from simulators.discrepancy.shaking import spans_as_shaken
@@ -254,7 +255,7 @@ def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SA
     )
     setup = believed_setup(scenario)
     if not meta.reference.level_given:
-        setup = _levelled(setup, data)
+        setup = levelled(setup, data)
     for entry in model.effects:
         effect = get_effect(entry.effect)
         if effect.stage is Stage.SETUP:
@@ -277,7 +278,27 @@ def compare(recording: Recording, model: BlockModel, most_samples: int = MOST_SA
     scene = Scene(
         recording, data, setup, seen, _readings(model, seen), data.rate.copy(), np.zeros_like(accel), model, group
     )
+    if meta.reference.azimuth_deg is None:
+        scene = _gyrocompassed(scene)
     return following_vibrations(scene)
+
+
+def _gyrocompassed(scene: Scene) -> Scene:
+    """Return the scene at the azimuth that its gyros say."""
+
+    def at(azimuth_rad: float) -> Setup:
+        return replace(scene.setup, azimuth_rad=azimuth_rad)
+
+    came = ~np.any(scene.data.missing[:, 3:], axis=1)
+    found = azimuth_by_gyros(
+        scene.measured[:, 3:],
+        came,
+        lambda azimuth_rad: scene.predict(at(azimuth_rad))[:, 3:],
+        scene.noise_found[3:],
+    )
+    accel, gyro = true_rates(at(found), scene.data.edges_s, np.diff(scene.data.edges_s))
+    seen = replace(scene.seen, accel_mps2=accel, gyro_radps=gyro)
+    return replace(scene, setup=at(found), seen=seen, predicted=_readings(scene.model, seen))
 
 
 def following_vibrations(scene: Scene) -> Scene:
@@ -305,20 +326,6 @@ def _between_means(values: Array, block: int) -> Array:
         return np.full(values.shape[1], np.inf)
     size = ordinary_mean(np.abs(second_differences(values, block)))
     return np.asarray(size / MEAN_SIZE * math.sqrt(block / 6.0))
-
-
-def _levelled(setup: Setup, data: Repaired) -> Setup:
-    """Return the set-up with roll and pitch from the accelerometers' first ten seconds, where no level was given."""
-    few = max(10, int(10.0 / np.diff(data.edges_s).mean()))
-    for motion in setup.motions:
-        few = min(few, max(10, int(np.searchsorted(data.edges_s, motion.start_s))))
-    up = np.median(data.rate[:few, :3], axis=0)
-    if not np.linalg.norm(up) > 1.0:
-        return setup
-    up = up / np.linalg.norm(up)
-    forward = setup.C_tb[0] - up * (setup.C_tb[0] @ up)
-    forward /= np.linalg.norm(forward)
-    return replace(setup, C_tb=np.array([forward, np.cross(up, forward), up]))
 
 
 def _shaken(setup: Setup, seen: Circumstances, residual: Array, came: NDArray[np.bool_]) -> Array:
