@@ -65,11 +65,10 @@ def azimuth_by_gyros(
     steady = mean / np.hypot(noise / math.sqrt(rows.sum()), _BIAS_RADPS)
     normal = np.einsum("iks,jks->ij", turned, turned) + steady @ steady.T
 
-    def misfit(angle: Array) -> Array:
-        point = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)])
-        return np.asarray(np.einsum("i...,ij,j...->...", point, normal, point))
+    def misfit(angle: float) -> float:
+        point = np.array([math.cos(angle), math.sin(angle), -1.0])
+        return float(point @ normal @ point)
 
     step = math.pi / _ANGLES
-    angles = step * np.arange(2 * _ANGLES)
-    near = float(angles[np.argmin(misfit(angles))])
-    return float(minimize_scalar(lambda angle: float(misfit(np.float64(angle))), (near - step, near, near + step)).x)
+    near = min((step * place for place in range(2 * _ANGLES)), key=misfit)
+    return float(minimize_scalar(misfit, (near - step, near, near + step)).x)

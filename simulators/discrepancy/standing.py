@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _CHANCE = 1e-5  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
 _SHORTEST_RUN = 3
 _SHORT_RUN = 6
+_CUSTOM = 10  # runs from which on they are a custom
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _NEXT = 10  # samples next to a run, and as many again as it has
 _ASTRAY = 5.5  # by how many times its uncertainty a run's sum is off what its neighbours say
@@ -327,7 +328,9 @@ def longest_by_rounding(steps: float, size: int) -> float:
 
 
 def longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:
-    """Return the length that runs reach by chance, from the tail that the runs of this record have."""
+    """Return the length that runs reach by chance, from the tail of this record's runs, if there are many."""
+    if lengths.size < _CUSTOM:
+        return 0.0
     tail = float(np.quantile(lengths, 0.9))
     beyond = lengths[lengths >= tail] - tail
     mean = max(float(np.median(beyond)) / math.log(2.0), 1.0 / math.log(size))

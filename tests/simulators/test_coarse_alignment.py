@@ -23,7 +23,7 @@ def without_azimuth(case: Recording) -> Recording:
     return replace(case, meta=RecordingMeta.model_validate(meta))
 
 
-def quieter(true: Truth, readings: np.ndarray) -> None:
+def quieter(_: Truth, readings: np.ndarray) -> None:
     """Take off all but a share of the noise that the recording will add."""
     noise = np.random.default_rng(23).standard_normal(readings.shape)
     readings[:, 3:] -= (1.0 - QUIET) * noise[:, 3:] * WHITE["gyro"] * math.sqrt(RATE_HZ)

@@ -286,3 +286,20 @@ def test_what_a_turns_end_does_beside_a_register_that_stood_still_does_not_hide_
     (found,) = find_stuck(compare(case.recording, case.model))[1]
     assert found.channel == hidden["channel"]
     assert abs(found.start_s - hidden["parameters"]["start"]) < 3.3 * found.sigma_s
+
+
+@pytest.mark.parametrize("lengths", [(10,), (61,), (40, 60, 80)])
+def test_a_register_that_repeats_what_a_readout_without_steps_never_would_is_found_however_rare(
+    lengths: tuple[int, ...],
+) -> None:
+    """Ten equal doubles of a gyro at rest: what they are of a longer record is no custom of it."""
+    case = recording(None, 31, moving=False)
+    samples = case.samples.copy()
+    starts = [1000 * (place + 1) for place in range(len(lengths))]
+    for start, length in zip(starts, lengths, strict=True):
+        samples["dtheta"][start + 1 : start + 1 + length, 1] = samples["dtheta"][start, 1]
+    _, found = find_stuck(compare(dataclasses.replace(case, samples=samples), model()))
+    assert [one.channel for one in found] == ["gyro_y"] * len(lengths)
+    for one, start, length in zip(found, starts, lengths, strict=True):
+        assert one.start_s == pytest.approx((start + 1) / RATE_HZ, abs=1.5 / RATE_HZ)
+        assert one.duration_s == pytest.approx(length / RATE_HZ, abs=1.5 / RATE_HZ)
