@@ -360,8 +360,8 @@ def _tails(evidence: Evidence, fit: Fit, slot: Slot) -> float:
     """Return by how much heavy tails raise the variance of a variance found from samples: 1 + excess kurtosis / 2."""
     left = evidence.library.left(slot, fit.ids, fit.amplitude)
     white = idct(left * evidence.basis[slot].each(fit.noise[slot].power ** -0.5), norm="ortho")
-    kurtosis = float(np.mean(white**4) / np.mean(white**2) ** 2)
-    return max(1.0, 0.5 * (kurtosis - 1.0))
+    square = float(np.mean(white**2))
+    return max(1.0, 0.5 * (float(np.mean(white**4)) / square**2 - 1.0)) if square > 0.0 else 1.0
 
 
 def _levelled(evidence: Evidence, fit: Fit, slot: Slot, power: Array, tails: float) -> Array:

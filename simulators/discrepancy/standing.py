@@ -166,7 +166,7 @@ def _standing(
         return []
     first, last = runs(same)
     lengths = last - first
-    step = _step(increment)
+    step = step_of(increment)
     quiet = off[shaken == 0.0]  # where it is shaken it is never off: the course is the reading's own
     quiet = quiet if quiet.size > _FEWEST_BLOCKS * _BLOCK else off
     noise = _noise(quiet, step)
@@ -291,7 +291,7 @@ def _mean_run(increment: Array) -> float:
     return increment.size / (1.0 + float(np.sum(np.diff(increment) != 0.0)))
 
 
-def _step(increment: Array) -> float:
+def step_of(increment: Array) -> float:
     """Return the readout's step: the smallest difference between readings that is no rounding of a float."""
     apart = np.diff(np.unique(increment))
     apart = apart[apart > 1e-9 * np.max(np.abs(increment))]

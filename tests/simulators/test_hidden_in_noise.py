@@ -57,6 +57,36 @@ def test_a_dead_band_of_the_noises_own_width_is_named_and_nothing_of_the_noise_t
 
 
 @pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("sigmas", [0.5, 1.0, 2.0])
+def test_a_fine_readout_at_rest_that_is_often_zero_and_never_a_little_more_has_a_dead_band(
+    sigmas: float, *, free: bool
+) -> None:
+    """No mean tells it: the input is next to nothing, and so is what the band makes of it."""
+    case, half_width = recording(None, 43, moving=False), sigmas * GYRO_SIGMA
+    samples = case.samples.copy()
+    samples["dtheta"][np.abs(samples["dtheta"][:, 1]) < half_width / RATE_HZ, 1] = 0.0
+    (found,) = discrepancy([replace(case, samples=samples)], model(free=free)).findings
+    assert (found["effect"], found["channel"], found["alternatives"]) == ("dead_band", "gyro_y", [])
+    width = found["parameters"]["half_width"]
+    assert abs(width["value"] - half_width) < 3.3 * width["sigma"]
+
+
+@pytest.mark.parametrize("channel", ["gyro_y", "accel_z"])
+def test_zeros_of_steps_that_the_model_does_not_know_or_of_a_sensor_that_drops_out_are_no_dead_band(
+    channel: str,
+) -> None:
+    """A gyro that reads in steps of its noise, and an accelerometer that reads nothing of g for seconds."""
+    case = recording(None, 44, moving=False)
+    samples = case.samples.copy()
+    if channel == "gyro_y":
+        samples["dtheta"] = np.rint(samples["dtheta"] / (GYRO_SIGMA / RATE_HZ)) * GYRO_SIGMA / RATE_HZ
+    else:
+        samples["dv"][1000:1100, 2] = 0.0
+    report = discrepancy([replace(case, samples=samples)], model())
+    assert "dead_band" not in {one["effect"] for one in report.findings}, report.document["text"]
+
+
+@pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize("sigmas", [7.0, 40.0])
 def test_a_dead_band_wider_than_the_noise_leaves_no_sample_that_is_known_without_any(
     monkeypatch: pytest.MonkeyPatch, sigmas: float, *, free: bool
