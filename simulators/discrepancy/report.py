@@ -367,7 +367,10 @@ def _undone_findings(one: Mistake | TimeTags, search: Search) -> list[dict[str, 
     found = []
     if one.delay_sigma_s:
         delay = ParameterValue(value=one.delay_s, sigma=one.delay_sigma_s, unit="s")
-        found.append(_plain("latency", "all", {"delay": delay}, 0.5 * one.explained, before, after))
+        late = _plain("latency", "all", {"delay": delay}, 0.5 * one.explained, before, after)
+        if len(one.told_by) == 1:
+            late["alternatives"] = [{"effect": "latency", "channel": one.told_by[0], "behind_nats": 0.0}]
+        found.append(late)
     if one.clock_sigma:
         error = ParameterValue(value=one.clock_error, sigma=one.clock_sigma, unit="1")
         found.append(_plain("clock_scale", "all", {"error": error}, 0.5 * one.explained, before, after))

@@ -69,9 +69,7 @@ def _about_hole(
     return hole, float(silent.sum() * math.log(silent.sum() / max(expected, 1.0)))
 
 
-def _as_many(
-    scene: Scene, column: int, silent: NDArray[np.bool_], came: NDArray[np.bool_], read: HalfWidth
-) -> bool:
+def _as_many(scene: Scene, column: int, silent: NDArray[np.bool_], came: NDArray[np.bool_], read: HalfWidth) -> bool:
     """Whether a band of such a width in such noise silences about as many samples as are silent, and no others."""
     inputs, noise = scene.predicted[:, column], read.noise.sigma
     share = ndtr((read.value - inputs) / noise) - ndtr((-read.value - inputs) / noise)

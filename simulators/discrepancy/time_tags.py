@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,8 @@ _LINES = (False, False), (True, False), (False, True), (True, True)  # delay, cl
 class TimeTags:
     """Readings are ``delay_s`` older than stamped, and the clock runs ``clock_error`` of itself fast.
 
-    Each with its 1σ, and both 0 where there is none; χ² falls by ``explained`` about the ends of turns.
+    Each with its 1σ, and both 0 where there is none; χ² falls by ``explained`` about the ends of turns. ``told_by`` the
+    triads that feel them: of turns about the vertical, gyros alone.
     """
 
     delay_s: float
@@ -48,6 +50,7 @@ class TimeTags:
     clock_error: float
     clock_sigma: float
     explained: float
+    told_by: tuple[str, ...]
 
     def undone(self, recording: Recording) -> Recording:
         """Return a recording with true stamps, and a schedule as late as its readings."""
@@ -106,12 +109,18 @@ def _found(scenes: Sequence[Scene]) -> TimeTags | None:
         return np.asarray(np.sum([end.left(late + more_s) for end, late in zip(ends, late_s, strict=True)], axis=0))
 
     gained = np.sum([end.left(0.0) for end in ends], axis=0) - left(0.0)
-    accelerometers_s = _least(lambda more_s: float(left(more_s)[0]), 0.0)
-    gyros_s = _least(lambda more_s: float(left(more_s)[1]), 0.0)
-    if np.min(gained) < _LEAST or abs(accelerometers_s - gyros_s) > _TRIADS_S:
+    told = np.sum([end.told(late) for end, late in zip(ends, late_s, strict=True)], axis=0)
+    said = [triad for triad in range(2) if told[triad] > 2.0 * _LEAST]
+    each_s = [_least(partial(_of_triad, left, triad), 0.0) for triad in said]
+    if not said or np.min(gained[said]) < _LEAST or np.ptp(each_s) > _TRIADS_S:
         return None
     (delay_s, error), (delay_sigma_s, sigma) = line.late.tolist(), line.sigma.tolist()
-    return TimeTags(delay_s, delay_sigma_s, error, sigma, float(gained.sum()))
+    told_by = tuple(("accel", "gyro")[triad] for triad in said)
+    return TimeTags(delay_s, delay_sigma_s, error, sigma, float(gained.sum()), told_by)
+
+
+def _of_triad(left: Callable[[float], Array], triad: int, more_s: float) -> float:
+    return float(left(more_s)[triad])
 
 
 @dataclass(frozen=True)
@@ -186,6 +195,15 @@ class _End:
         when = self.edges_s - late_s
         sums = np.column_stack([np.interp(when, self.at_s, column) for column in self.integral.T])
         square = np.square(self.readings - np.diff(sums, axis=0) / np.diff(self.edges_s)[:, None])[self.came]
+        return np.array([square[:, triad].sum() for triad in _TRIADS])
+
+    def told(self, late_s: float) -> Array:
+        """Return χ² by which the prediction changes, of accelerometers and gyros, if the readings are so late."""
+        sums = [
+            np.column_stack([np.interp(self.edges_s - late, self.at_s, column) for column in self.integral.T])
+            for late in (0.0, late_s)
+        ]
+        square = np.square(np.diff(sums[1] - sums[0], axis=0) / np.diff(self.edges_s)[:, None])[self.came]
         return np.array([square[:, triad].sum() for triad in _TRIADS])
 
     def lateness(self) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import closed_form
 import numpy as np
 import pytest
 from hidden_case import HiddenCase, hidden_case
@@ -69,6 +70,20 @@ def test_a_delay_is_found_though_a_tenth_of_the_samples_were_lost(still: HiddenC
     assert found is not None
     assert abs(found.delay_s - 0.05) < 3.3 * found.delay_sigma_s
     assert found.clock_sigma == 0.0
+
+
+def test_a_delay_on_a_level_table_is_one_though_no_accelerometer_feels_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turns about the vertical, both ways; of all sensors or of gyros alone, no such recording tells."""
+    monkeypatch.setattr(closed_form, "TURNS", ((60.0, 78.0, 20.0, 2), (108.0, 126.0, -20.0, 2)))
+    case = closed_form.recording(None, 12)
+    late = replace(case, samples=case.samples.copy())
+    late.samples["time"] += 0.025
+    (found,) = discrepancy([late], closed_form.model()).findings
+    assert (found["effect"], found["channel"]) == ("latency", "all")
+    assert [(one["effect"], one["channel"]) for one in found["alternatives"]] == [("latency", "gyro")]
+    delay = found["parameters"]["delay"]
+    assert abs(delay["value"] - 0.025) < 3.3 * delay["sigma"]
+    assert discrepancy([case], closed_form.model()).verdict == "none"
 
 
 def test_what_is_on_time_has_neither(still: HiddenCase) -> None:
