@@ -31,10 +31,12 @@ from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, 
 from simulators.discrepancy.outliers import Outlier, find_outliers
 from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
+from simulators.discrepancy.remarks import remarks
 from simulators.discrepancy.rivals import find_rivals, names_instead
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck, without_stuck
 from simulators.discrepancy.stood_between_steps import stood_between_steps
+from simulators.discrepancy.switched_on import since_switch_on
 from simulators.discrepancy.time_tags import TimeTags, find_time_tags
 from simulators.discrepancy.unexplained import Unexplained, judge
 from simulators.discrepancy.whitening import LEVELS
@@ -96,11 +98,12 @@ def discrepancy(
         raise ValueError("no recording given; give one or more")
     tell = progress or _silent
     tell(0.02, "predicting")
-    raw = _compared(recordings, model)
+    counted = since_switch_on(recordings)
+    raw = _compared(counted, model)
     mistakes = find_mistakes(raw)
 
     def again(tags: TimeTags) -> list[Scene]:
-        return _mended(_compared([tags.undone(recording) for recording in recordings], model), mistakes)
+        return _mended(_compared([tags.undone(recording) for recording in counted], model), mistakes)
 
     mended = _mended(raw, mistakes)
     tags, mended = find_time_tags(mended, again) or (None, mended)
@@ -231,6 +234,7 @@ def _report(
         "remaining": unexplained.document(),
         "reference": [_reference(a, search.fit) for a in search.of_kind(Kind.REFERENCE)] + _sway(noise),
         "rejected": rejected,
+        "remarks": remarks(recordings),
         "outliers": [asdict(one) for one in outliers],
         "gap": {
             "whitened_rms": {"before": rms(search, slots, search.bare), "after": rms(search, slots, search.fit)},

@@ -16,7 +16,7 @@ _LISTED = 3  # outliers
 
 def in_words(document: dict[str, Any]) -> str:
     """Return what a report's document says, in plain words."""
-    sentences = []
+    sentences: list[str] = []
     findings = document["findings"]
     if document["verdict"] == "none":
         sentences.append("Model and measurement agree: what is left is noise, and nothing needs a name.")
@@ -29,6 +29,7 @@ def in_words(document: dict[str, Any]) -> str:
         at = ", ".join(f"{one['channel']} at {one['time_s']:.2f} s" for one in outliers[:_LISTED])
         more = f" and {len(outliers) - _LISTED} more" if len(outliers) > _LISTED else ""
         sentences.append(f"Single wild samples were taken out: {at}{more}.")
+    sentences += document["remarks"]
     for reference in document["reference"]:
         sentences.append(f"The reference is off: {reference['text']}; this is not laid to the block.")
     gap = document["gap"]["heldout_rms"]
