@@ -13,6 +13,9 @@ from simulators.discrepancy.runs import runs
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+MOST_UNREAD = 0.05
+"""Share of samples without a temperature, or a supply voltage, across which straight lines are drawn."""
+
 
 @dataclass(frozen=True)
 class Repaired:
@@ -20,7 +23,7 @@ class Repaired:
 
     ``edges_s`` (n + 1,) device time of the intervals' ends; ``rate`` (n, 6) readings [m/s², rad/s]; ``missing`` (n, 6)
     marks what is not a measurement; ``sent`` (n, 6) the increments [m/s, rad] as they came; ``temperature_c``,
-    ``supply_v`` (n,), NaN where the block has none.
+    ``supply_v`` (n,), NaN where the block has none or too many samples are without.
     """
 
     edges_s: Array
@@ -56,11 +59,19 @@ def repair(samples: SampleArray) -> Repaired:
         edges,
         rate,
         missing,
-        np.interp(whole, place, temperature.astype(np.float64)),
-        np.interp(whole, place, samples["supply"].astype(np.float64)),
+        _bridged(whole, place, temperature.astype(np.float64)),
+        _bridged(whole, place, samples["supply"].astype(np.float64)),
         sent,
         count - len(samples),
     )
+
+
+def _bridged(whole: NDArray[np.int64], place: NDArray[np.int64], values: Array) -> Array:
+    """Return slow values at ``whole`` from those at ``place``; the few that were not read lie between the others."""
+    read = np.isfinite(values)
+    if np.mean(read) < 1.0 - MOST_UNREAD:
+        return np.interp(whole, place, values)
+    return np.interp(whole, place[read], values[read])
 
 
 @dataclass(frozen=True)
