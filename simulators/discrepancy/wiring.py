@@ -1,12 +1,15 @@
 """Mistakes of wiring, before anything subtle: sensors exchanged, signs turned, units mistaken.
 
 Block means of each channel are held against every input of its triad, with either sign and the ratios of units that
-happen; a mistake is found where it explains what is measured and the channel's own input does not. A readout whose step
-is the stated one times the ratio of two units is in the other unit, however little the input has to say.
+happen, of which the sample rate is one; a mistake is found where it explains what is measured and the channel's own
+input does not. A readout whose step is the stated one times the ratio of two units is in the other unit, however little
+the input has to say; so is a sensor that has the noise for it, where another of its triad tells the unit.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.one_unit import proportions_of, sharing
 from simulators.discrepancy.resolution import coarser
 from simulators.effects.unit_error import FACTORS
 
@@ -27,6 +31,8 @@ _MISFIT = 0.1  # of the signal that may be left: other effects may be there too
 _COINCIDENCE = 0.02  # how close a ratio must come to that of two units
 _SHARP = 0.01  # share of itself within which it must be known, or anything may come as close
 _STEP_COINCIDENCE = 0.001  # ... one of two steps
+_ONE_RATE = 1e-3  # share by which sample rates may differ and be one
+_NO_SCALE = 0.5  # logarithm of a ratio that is too large for a scale factor
 _STEADY = 0.02  # share of itself by which an input that stands still may move
 _ROUND = (2.0, 10.0, 1e3)  # ratios that steps have for other reasons too
 
@@ -48,27 +54,33 @@ def find_mistakes(scenes: list[Scene]) -> list[Mistake]:
     found = _stepped_units(scenes)
     scenes = [replace(scene, measured=mend(scene.measured, found)) for scene in scenes] if found else scenes
     for first in (0, 3):
-        sources, factors, explained, steady = _best(scenes, first)
-        for c in range(3):
-            source, factor = sources[c], factors[c]
-            channel = CHANNELS[first + c]
-            if source > c and sources[source] == c:
-                pair = f"{channel}<-{CHANNELS[first + source]}"
-                found.append(Mistake("axis_swap", pair, 1.0, explained[c] + explained[source], steady))
-            if source != c and sources[source] != c:
-                continue
-            if factor < 0.0:
-                found.append(Mistake("sign_flip", channel, 1.0, explained[c], steady))
-            if abs(factor) != 1.0:
-                found.append(Mistake("unit_error", channel, abs(factor), explained[c], steady))
+        found += _mistakes(_Triad.of(scenes, first))
     return _whole_triads(found)
+
+
+def _mistakes(triad: _Triad) -> list[Mistake]:
+    """Return the mistakes of a triad."""
+    found = []
+    wires = triad.in_one_unit(_exchanged_both_ways([triad.best(c) for c in range(3)]))
+    explained = [triad.left(_Wire(c), c) - triad.left(wire, c) for c, wire in enumerate(wires)]
+    for c, wire in enumerate(wires):
+        channel = triad.names[c]
+        if wire.source > c:
+            pair = f"{channel}<-{triad.names[wire.source]}"
+            found.append(Mistake("axis_swap", pair, 1.0, explained[c] + explained[wire.source], triad.steady))
+        if wire.factor < 0.0:
+            found.append(Mistake("sign_flip", channel, 1.0, explained[c], triad.steady))
+        if abs(wire.factor) != 1.0:
+            found.append(Mistake("unit_error", channel, abs(wire.factor), explained[c], triad.steady))
+    return found
 
 
 def _stepped_units(scenes: list[Scene]) -> list[Mistake]:
     """Return the unit errors by which channels' steps are off the stated ones in all recordings."""
     found = []
-    ratios = [f for ratio in FACTORS.values() if ratio not in _ROUND for f in (ratio, 1.0 / ratio)]
     for column, channel in enumerate(CHANNELS):
+        known = FACTORS[channel.partition("_")[0]].values()
+        ratios = [f for ratio in known if ratio not in _ROUND for f in (ratio, 1.0 / ratio)]
         times = [coarser(scene, column) for scene in scenes]
         for ratio in ratios:
             if all(step is not None and abs(step / ratio - 1.0) < _STEP_COINCIDENCE for step in times):
@@ -112,44 +124,124 @@ def mend(rates: Array, mistakes: list[Mistake]) -> Array:
     return mended
 
 
-def _best(scenes: list[Scene], first: int) -> tuple[list[int], list[float], list[float], bool]:
-    """Return for each sensor of a triad the source and factor that explain it, and by how much better than its own."""
-    blocks = [_block_means(scene, first) for scene in scenes]
-    measured = np.vstack([m for m, _, _ in blocks])
-    predicted = np.vstack([p for _, p, _ in blocks])
-    sigma = np.vstack([np.broadcast_to(s, m.shape) for m, _, s in blocks])
-    steady = bool(np.max(np.ptp(predicted, axis=0)) < _STEADY * np.max(np.abs(predicted)))
-    ratios = [1.0] + [f for ratio in FACTORS.values() for f in (ratio, 1.0 / ratio)]
-    sources, factors, explained = [], [], []
-    for c in range(3):
-        m, s = measured[:, c], sigma[:, c]
-        own = float(np.sum(((m - predicted[:, c]) / s) ** 2))
-        best = (own, c, 1.0)
+@dataclass(frozen=True)
+class _Wire:
+    """What a sensor reads: which input of its triad, times what."""
+
+    source: int
+    factor: float = 1.0
+
+    def times(self, ratio: float) -> _Wire:
+        """Return the same with another ratio of units."""
+        return _Wire(self.source, math.copysign(ratio, self.factor))
+
+
+@dataclass(frozen=True)
+class _Triad:
+    """Block means (k, 3) of three sensors, measured and predicted, and their noise (k, 3).
+
+    ``ratios`` are those of units that are mistaken, ``proportions`` (3,) of the noise as stated.
+    """
+
+    names: tuple[str, ...]
+    measured: Array
+    predicted: Array
+    sigma: Array
+    ratios: tuple[float, ...]
+    proportions: Array
+
+    @classmethod
+    def of(cls, scenes: list[Scene], first: int) -> _Triad:
+        """Look at one triad in all recordings."""
+        blocks = [_block_means(scene, first) for scene in scenes]
+        names = tuple(CHANNELS[first : first + 3])
+        known = [*FACTORS[names[0].partition("_")[0]].values(), *_sample_rate(scenes)]
+        return cls(
+            names,
+            np.vstack([m for m, _, _ in blocks]),
+            np.vstack([p for _, p, _ in blocks]),
+            np.vstack([np.broadcast_to(s, m.shape) for m, _, s in blocks]),
+            tuple(f for ratio in known for f in (ratio, 1.0 / ratio)),
+            proportions_of(scenes[0].model.noise, first),
+        )
+
+    @property
+    def steady(self) -> bool:
+        """Whether the input stood still throughout."""
+        return bool(np.max(np.ptp(self.predicted, axis=0)) < _STEADY * np.max(np.abs(self.predicted)))
+
+    def left(self, wire: _Wire, c: int) -> float:
+        """Return χ² of what a sensor so wired leaves."""
+        off = self.measured[:, c] - wire.factor * self.predicted[:, wire.source]
+        return float(np.sum(np.square(off / self.sigma[:, c])))
+
+    def misfit(self, wire: _Wire, c: int) -> float:
+        """Return what it leaves, as a share of the signal's power, without the noise of both."""
+        m, noise = self.measured[:, c], float(np.sum(self.sigma[:, c] ** 2))
+        off = float(np.sum((m - wire.factor * self.predicted[:, wire.source]) ** 2))
+        return (off - 2.0 * noise) / max(float(np.sum(m**2)) - noise, 1e-300)
+
+    def tells(self, c: int) -> bool:
+        """Whether a sensor's own input, as it is, leaves next to nothing of what it reads."""
+        return self.left(_Wire(c), c) < _SHARE * self.left(_Wire(c, 0.0), c)
+
+    def best(self, c: int) -> _Wire:
+        """Return the wire that explains a sensor: its own, unless another leaves next to nothing of what that does."""
+        own = self.left(_Wire(c), c)
+        least, found = own, _Wire(c)
+        for wire in self._wires(c):
+            left = self.left(wire, c)
+            fits = left < _SHARE * own and own - left > _LEAST and self.misfit(wire, c) < _MISFIT**2
+            if fits and left < least:
+                least, found = left, wire
+        return found
+
+    def _wires(self, c: int) -> Iterator[_Wire]:
+        """Yield what a sensor may read by mistake: another input, either sign, its own in a unit that it is near to."""
         for j in range(3):
-            p = predicted[:, j]
-            power = float(np.sum(p**2))
-            if power == 0.0:
-                continue
-            slope = float(m @ p) / power
-            sharp = float(np.mean(s)) / np.sqrt(power) < _SHARP * abs(slope)
-            for factor in (sign * ratio for ratio in ratios for sign in (1.0, -1.0)):
-                plain = j == c and factor == 1.0
-                is_unit = j == c and sharp and abs(slope / factor - 1.0) < _COINCIDENCE
-                if plain or (abs(factor) != 1.0 and not is_unit):
-                    continue
-                left = float(np.sum(((m - factor * p) / s) ** 2))
-                noise = float(np.sum(s**2))
-                misfit = (float(np.sum((m - factor * p) ** 2)) - 2.0 * noise) / max(float(np.sum(m**2)) - noise, 1e-300)
-                fits = left < _SHARE * own and own - left > _LEAST and misfit < _MISFIT**2
-                if fits and left < best[0]:
-                    best = (left, j, factor)
-        sources.append(best[1])
-        factors.append(best[2])
-        explained.append(own - best[0])
-    for c in range(3):  # an exchange takes two
-        if sources[c] != c and sources[sources[c]] != c:
-            sources[c], factors[c] = c, 1.0
-    return sources, factors, explained, steady
+            if np.any(self.predicted[:, j]):
+                yield from (_Wire(j, sign) for sign in (1.0, -1.0) if (j, sign) != (c, 1.0))
+        p = self.predicted[:, c]
+        power = float(p @ p)
+        if power == 0.0:
+            return
+        slope = float(self.measured[:, c] @ p) / power
+        if float(np.mean(self.sigma[:, c])) / np.sqrt(power) < _SHARP * abs(slope):
+            signed = (sign * ratio for ratio in self.ratios for sign in (1.0, -1.0))
+            yield from (_Wire(c, factor) for factor in signed if abs(slope / factor - 1.0) < _COINCIDENCE)
+
+    def in_one_unit(self, wires: list[_Wire]) -> list[_Wire]:
+        """Give sensors that tell nothing else, or nearly the same, the unit of the one that tells its own best."""
+        told = [c for c, wire in enumerate(wires) if wire.source == c and abs(wire.factor) != 1.0]
+        if not told:
+            return wires
+        surest = max(told, key=lambda c: self.left(_Wire(c), c))
+        near = [c for c in told if _near(wires[c].factor, wires[surest].factor)]
+
+        def left(ratio: float) -> float:
+            return sum(self.left(wires[c].times(ratio), c) for c in near)
+
+        factor = min((ratio for ratio in self.ratios if _near(ratio, wires[surest].factor)), key=left)
+        noisy = sharing(factor, near, np.mean(self.sigma, axis=0), self.proportions)
+        alike = {*near, *(c for c in noisy if wires[c] == _Wire(c) and not self.tells(c))}
+        return [wire.times(factor) if c in alike else wire for c, wire in enumerate(wires)]
+
+
+def _near(one: float, other: float) -> bool:
+    """Whether two factors are such that a sensor may take one for the other."""
+    return abs(abs(one / other) - 1.0) < 2.0 * _COINCIDENCE
+
+
+def _exchanged_both_ways(wires: list[_Wire]) -> list[_Wire]:
+    """Return wires without half an exchange: it takes two."""
+    return [wire if wires[wire.source].source == c else _Wire(c) for c, wire in enumerate(wires)]
+
+
+def _sample_rate(scenes: list[Scene]) -> list[float]:
+    """Return by what rates are larger than increments: the sample rate [Hz], if all have one that is far from 1."""
+    rates = np.array([1.0 / scene.seen.interval_s for scene in scenes])
+    one = np.ptp(rates) < _ONE_RATE * rates.min() and abs(math.log(rates[0])) > _NO_SCALE
+    return [float(rates[0])] if one else []
 
 
 def _block_means(scene: Scene, first: int) -> tuple[Array, Array, Array]:

@@ -18,7 +18,10 @@ from simulators.effects.base import (
 
 
 class UnitError(Effect):
-    """Reading × factor, of one sensor or of a whole triad. Factors that happen: :data:`FACTORS` and their inverses."""
+    """Reading × factor, of one sensor or of a whole triad.
+
+    Factors that happen are :data:`FACTORS`, the sample rate in hertz (rates for increments), and their inverses.
+    """
 
     name = "unit_error"
     text = "The readings are in another unit than stated."
@@ -44,17 +47,17 @@ class UnitError(Effect):
         return step
 
 
+_ANY = {"milli": 1e3, "half or double": 2.0, "ten": 10.0}
+
 FACTORS = {
-    "degrees for radians": 57.29577951308232,
-    "g for m/s^2": 1.0 / 9.80665,
-    "mg for m/s^2": 1e3 / 9.80665,
-    "deg/h for rad/s": 206264.80624709636,
-    "feet for metres": 1.0 / 0.3048,
-    "milli": 1e3,
-    "half or double": 2.0,
-    "grads for radians": 63.66197723675813,
-    "ten": 10.0,
+    "accel": {"g for m/s^2": 1.0 / 9.80665, "mg for m/s^2": 1e3 / 9.80665, "feet for metres": 1.0 / 0.3048, **_ANY},
+    "gyro": {
+        "degrees for radians": 57.29577951308232,
+        "deg/h for rad/s": 206264.80624709636,
+        "grads for radians": 63.66197723675813,
+        **_ANY,
+    },
 }
-"""Ratios of units that are mistaken for each other."""
+"""Ratios of units that are mistaken for each other, by triad."""
 
 EFFECT = UnitError()
