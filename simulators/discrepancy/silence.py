@@ -74,7 +74,8 @@ def _as_many(scene: Scene, column: int, silent: NDArray[np.bool_], came: NDArray
     inputs, noise = scene.predicted[:, column], read.noise.sigma
     share = ndtr((read.value - inputs) / noise) - ndtr((-read.value - inputs) / noise)
     expected, unlikely = float(np.sum(share[came])), np.count_nonzero(silent & (share < _UNLIKELY))
-    return abs(silent.sum() - expected) < _ABOUT * expected and unlikely < (1.0 - _NEARLY_ALL) * silent.sum()
+    many = float(silent.sum())
+    return abs(many - expected) < _ABOUT * expected and unlikely < (1.0 - _NEARLY_ALL) * many
 
 
 def _noise(scene: Scene, column: int, spoken: NDArray[np.bool_]) -> float:
