@@ -75,7 +75,7 @@ def _as_many(scene: Scene, column: int, silent: NDArray[np.bool_], came: NDArray
     share = ndtr((read.value - inputs) / noise) - ndtr((-read.value - inputs) / noise)
     expected, unlikely = float(np.sum(share[came])), np.count_nonzero(silent & (share < _UNLIKELY))
     many = float(silent.sum())
-    return abs(many - expected) < _ABOUT * expected and unlikely < (1.0 - _NEARLY_ALL) * many
+    return bool(abs(many - expected) < _ABOUT * expected and unlikely < (1.0 - _NEARLY_ALL) * many)
 
 
 def _noise(scene: Scene, column: int, spoken: NDArray[np.bool_]) -> float:
