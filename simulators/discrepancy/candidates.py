@@ -18,7 +18,7 @@ from scipy.fft import dct
 
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
-from simulators.discrepancy.compare import SampleNoise, Scene, mean_changed, parameter_change
+from simulators.discrepancy.compare import AWAY_V, SampleNoise, Scene, mean_changed, parameter_change
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, is_whole, turn_errors
@@ -45,8 +45,6 @@ EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
 AWAY_C = 0.3
 """By which a steady temperature must be off the usual reference for a coefficient to show."""
-AWAY_V = 0.05
-"""... and a steady supply off the nominal one; one that moves by less is steady."""
 USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
 FITTED_PLACES = 100.0

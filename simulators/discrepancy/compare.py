@@ -37,6 +37,8 @@ MOST_READ = 1_000_000
 """Samples of a recording that are kept at all; of a longer one neighbours are summed as they are read."""
 MOST_SAMPLES = 40_000
 """Samples of a recording that are analysed one by one; of a longer one, means of neighbours are."""
+AWAY_V = 0.05
+"""By which a steady supply must be off the nominal one for a coefficient to show; what moves by less is steady."""
 _MEDIAN_OF_SQUARES = 0.4549  # of a standard normal variable
 _ROUNDS = 3
 _WHITE_HZ = 0.3, 3.0  # between flicker and rounding, where a channel's noise is white

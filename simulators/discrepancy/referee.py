@@ -1,7 +1,7 @@
 """A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
 
-Smooth functions of time, waves that die out, temperature, the sensor's own input, products of inputs, and of one with
-the size of another, memory of the input, whether it fades or is hysteresis, and ringing after changes of motion.
+Smooth functions of time, waves that die out, temperature, supply, the sensor's own input, products of inputs, and of
+one with the size of another, memory of the input, whether it fades or is hysteresis, and ringing after changes of motion.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from inertial.compiled import compiled
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import AWAY_V, Scene
 
 Array = NDArray[np.float64]
 
@@ -87,8 +87,16 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
         warmth = warmth / np.max(np.abs(warmth))
         yield "temperature^2", warmth**2
         yield "temperature^3", warmth**3
-        yield "temperature slope", np.gradient(warmth)
+        slope = np.gradient(warmth)
+        yield "temperature slope", slope
+        yield "temperature slope^2", slope**2
         yield "temperature x time", warmth * np.cos(phase)
+    if scene.supplied and np.ptp(seen.supply_v) > AWAY_V:
+        tension = seen.supply_v - seen.supply_v.mean()
+        tension = tension / np.max(np.abs(tension))
+        yield "supply^2", tension**2
+        if largest > 0.0:
+            yield "input x supply", own / largest * tension
     sizes = np.max(np.abs(inputs), axis=0)
     for i in range(6):
         for j in range(i + 1, 6):
