@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.read_off import ReadOff
+from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.runs import runs
 from simulators.discrepancy.standing import longest_by_rounding
 from simulators.discrepancy.whitening import FREE_SHARE
@@ -38,7 +39,7 @@ def find_clipped(scene: Scene) -> tuple[Scene, list[ReadOff]]:
     missing, found = scene.data.missing.copy(), []
     for column, channel in enumerate(CHANNELS):
         noise = getattr(scene.model.noise, channel)
-        step = noise.quantisation / scene.seen.interval_s
+        step = max(noise.quantisation, last_place(column)) / scene.seen.interval_s
         came = ~missing[:, column]
         clipped = _clipped(scene, column, came, step)
         if clipped is not None:

@@ -40,7 +40,7 @@ _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount t
 _ABOUT = 1.3  # times a correlation time, that it may be off
 _GYROS = range(3, 6)
 _FAST = 0.25  # of all frequencies, above which what is not noise has little power
-_NOTHING = 1e-3  # σ of one channel's data below which it is not there
+_NOTHING = 1e-3  # σ of one channel's noise below which what there is of it is not there
 
 
 def bayes_factor(gain: float, count: int, places: float) -> float:
@@ -89,6 +89,8 @@ class Evidence:
         self.basis: dict[Slot, Basis] = {}
         self.stated: dict[Slot, Array | None] = {}
         self._about: dict[Slot, Array | None] = {}  # as stated, or in the size that a model is unsure of
+        self.resolved: dict[Slot, Array] = {}
+        """Power (bins,) below which nothing is told: what numbers are rounded by, and next to nothing of the noise."""
         self.floor: dict[Slot, Array] = {}
         self.eased: dict[Slot, float] = {}
         """Least share of the stated noise that the samples' weights may leave."""
@@ -231,9 +233,10 @@ class Evidence:
         declared = says and not scene.model.noise.free
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
         at_least = (FREE_SHARE**2 if scene.model.noise.free else 1.0) * basis.stated(slow, 0.0)
-        self.floor[slot] = basis.stated(noise.__class__(), lsb) + at_least
         moved = scene.motion(slot[1])
         about = basis.stated(noise, lsb, moved) if says else None
+        self.resolved[slot] = basis.stated(noise.__class__(), lsb) + (0.0 if about is None else _NOTHING**2 * about)
+        self.floor[slot] = self.resolved[slot] + at_least
         stated = about if declared else None
         if math.isfinite(scene.freely_rounded_hz(slot[1])):
             basis = basis.rounded(noise, moved)

@@ -57,11 +57,13 @@ def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
     bands = _bands(basis.n, basis.interval_s)
     penalty = math.log(max(len(bands), 1) * len(CHANNELS))
     leans = _leans(evidence, fit, slot)
-    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands, leans)
+    least = basis.each(evidence.resolved[slot] / fit.noise[slot].power)
+    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands, least, leans)
     nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
     rounded = bands > _FROM * 2.0 * basis.n * basis.interval_s * rounded_hz
     if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
-        nats[rounded] = _beyond_chance(ratio[rounded], *_by_rounding(evidence, fit, slot, noise, came, bands[rounded]))
+        expected = _by_rounding(evidence, fit, slot, noise, came, bands[rounded], least)
+        nats[rounded] = _beyond_chance(ratio[rounded], *expected)
     best = int(np.argmax(nats)) if bands.size else 0
     nats, places = (np.append(values, 0.0) for values in (nats, places))
     when_s = float(scene.time_s[0] + places[best] * (scene.time_s[-1] - scene.time_s[0]))
@@ -93,11 +95,12 @@ def _leans(evidence: Evidence, fit: Fit, slot: Slot) -> Array | None:
 
 
 def _by_band(
-    white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64], leans: Array | None = None
+    white: Array, came: NDArray[np.bool_], bands: NDArray[np.int64], least: Array, leans: Array | None = None
 ) -> tuple[Array, Array, Array]:
     """Return of each band the likelihood ratio [2 nats] of power that varies from block to block, of how many blocks.
 
-    And where along the record power is most. As great a part of it as may be varies with ``leans`` (n,), as sway does.
+    And where along the record power is most. Below the ``least`` (n,) that can be told it is not known to vary. As
+    great a part of it as may be varies with ``leans`` (n,), as sway does.
     """
     ratio, freedom, places = (np.zeros(len(bands)) for _ in range(3))
     for band, highest in enumerate(bands.tolist()):
@@ -108,7 +111,8 @@ def _by_band(
         seen = np.array([part.mean() for part in np.array_split(came, count)]) > _SHARE_SEEN
         if seen.sum() < _FEWEST:
             continue
-        power = power[seen] / max(float(power[seen].mean()), 1e-300)
+        power = np.maximum(power[seen], float(np.sum(least[2:highest])) / padded.size)
+        power = power / float(power.mean())
         if leans is not None:
             power = _steadied(power, np.array([part.mean() for part in np.array_split(leans, count)])[seen])
         ratio[band] = _COEFFICIENTS * float(np.sum(power - 1.0 - np.log(np.maximum(power, 1e-12))))
@@ -133,11 +137,12 @@ def _by_rounding(
     noise: ChannelNoise,
     came: NDArray[np.bool_],
     bands: NDArray[np.int64],
+    least: Array,
 ) -> tuple[Array, Array]:
     """Return mean and variance of the likelihood ratio by band that rounding errors alone make of the same motion."""
     scene, spread = evidence.library.scenes[slot[0]], evidence.library.spread[slot]
     errors = rounding_errors(scene, slot[1], noise)
-    ratios = [_by_band(_white(evidence, fit, slot, left / spread), came, bands)[0] for left in errors]
+    ratios = [_by_band(_white(evidence, fit, slot, left / spread), came, bands, least)[0] for left in errors]
     return np.mean(ratios, axis=0), np.var(ratios, axis=0, ddof=1)
 
 

@@ -19,6 +19,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.dead_band_width import HalfWidth, half_width
 from simulators.discrepancy.read_off import ReadOff
+from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.standing import longest_by_rounding, spoken_by_rounding, step_of
 from simulators.discrepancy.whitening import FREE_SHARE
 
@@ -79,10 +80,14 @@ def _as_many(scene: Scene, column: int, silent: NDArray[np.bool_], came: NDArray
 
 
 def _noise(scene: Scene, column: int, spoken: NDArray[np.bool_]) -> float:
-    """Return the σ of a single sample's noise [y], or a little more: what has slow structure in it bends little."""
+    """Return the σ of a single sample's noise [y], or a little more: what has slow structure in it bends little.
+
+    There are the rounding errors of the frame at least.
+    """
     off = (scene.measured[:, column] - scene.predicted[:, column])[spoken]
     bends = 1.4826 * float(np.median(np.abs(np.diff(off, 2)))) / math.sqrt(6.0)
-    return min(float(scene.noise_sigma[column]), bends) if bends > 0.0 else float(scene.noise_sigma[column])
+    found = min(float(scene.noise_sigma[column]), bends) if bends > 0.0 else float(scene.noise_sigma[column])
+    return max(found, last_place(column) / scene.seen.interval_s)
 
 
 def _about(

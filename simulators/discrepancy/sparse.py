@@ -184,7 +184,7 @@ def _without(whole: Array, columns: Array, noise: NoiseFit, basis: Basis) -> tup
     """Return what columns leave, by least squares weighted by the noise, and their amplitudes."""
     weight = basis.each(1.0 / noise.power)
     gram = columns.T @ (columns * weight[:, None])
-    scale = np.sqrt(np.diag(gram))
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     right = columns.T @ (weight * whole) / scale
     sizes = np.linalg.lstsq(gram / np.outer(scale, scale), right, rcond=1e-10)[0] / scale
     return np.asarray(whole - columns @ sizes), np.asarray(sizes)
