@@ -17,6 +17,7 @@ from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.mount_sway import FEWEST, Sway, find_sway
 from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
+from simulators.discrepancy.readout import as_read
 from simulators.discrepancy.resolution import AS_STATED, coarser, last_place
 from simulators.discrepancy.whitening import SWAY, WIDE, ease, fit_noise
 
@@ -183,10 +184,8 @@ def _explained(evidence: Evidence, fit: Fit, slots: list[Slot], sway: Sway | Non
 
 
 def _eased(evidence: Evidence, fit: Fit, slot: Slot) -> Array:
-    """Return the stated power (b,), less where its samples leave less."""
-    stated = evidence.stated[slot]
-    assert stated is not None
-    return ease(stated, _free(evidence, fit, slot), evidence.eased[slot])
+    """Return the stated power (b,), less where its readout is finer or its samples leave less."""
+    return ease(as_read(evidence, fit, slot), _free(evidence, fit, slot), evidence.eased[slot])
 
 
 def _free(evidence: Evidence, fit: Fit, slot: Slot) -> Array:

@@ -1,7 +1,8 @@
 """A generic basis that names nothing: if it explains more than every name, the discrepancy has none of the names.
 
 Smooth functions of time, waves that die out, temperature, supply, the sensor's own input, products of inputs, and of
-one with the size of another, memory of the input, whether it fades or is hysteresis, and ringing after changes of motion.
+one with the size of another, memory of the input, whether it fades or is hysteresis, and ringing after changes of
+motion.
 """
 
 from __future__ import annotations

@@ -71,6 +71,38 @@ def test_a_gyro_that_reads_in_coarse_steps_hides_nothing(free: bool) -> None:
     assert (report.verdict, report.findings) == ("none", []), report.document["text"]
 
 
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("steps", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_readout_finer_than_stated_is_a_better_sensor(share: float, steps: float, free: bool) -> None:
+    """Its step is a share of that of so many σ of a sample's noise which the model states, or there is none."""
+    step = steps * WHITE["gyro"] / np.sqrt(RATE_HZ)
+    case = recording(None, 32)
+    samples = case.samples.copy()
+    if share:
+        samples["dtheta"] = in_steps(samples["dtheta"], share * step)
+    report = discrepancy([replace(case, samples=samples)], model_in_steps(step, free=free))
+    assert (report.verdict, report.findings) == ("none", []), report.document["text"]
+
+
+@pytest.mark.parametrize("effect", ["bias_shift", "random_walk", "rate_random_walk"])
+def test_what_a_sensor_with_a_finer_readout_has_beside_is_found(effect: str) -> None:
+    """On gyro_x: a shift, white noise as large again, or a walk of its rate."""
+    rng, step = np.random.default_rng(5), 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
+
+    def disturbed(true: dict[str, np.ndarray], readings: np.ndarray) -> None:
+        white = rng.standard_normal(true["t"].size)
+        readings[:, 3] += {
+            "bias_shift": np.full_like(white, 5e-6),
+            "random_walk": WHITE["gyro"] * np.sqrt(RATE_HZ) * white,
+            "rate_random_walk": 2e-6 / np.sqrt(RATE_HZ) * np.cumsum(white),
+        }[effect]
+
+    report = discrepancy([recording(disturbed, 5)], model_in_steps(step))
+    assert report.verdict == "named", report.document["text"]
+    assert [(one["effect"], one["channel"]) for one in report.findings] == [(effect, "gyro_x")]
+
+
 def remainder(samples: np.ndarray, seed: int) -> list[str]:
     """Return the channels whose remainder comes and goes, of a recording with these samples."""
     case = replace(recording(None, seed), samples=samples)
