@@ -58,7 +58,7 @@ def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
     penalty = math.log(max(len(bands), 1) * len(CHANNELS))
     leans = _leans(evidence, fit, slot)
     least = basis.each(evidence.resolved[slot] / fit.noise[slot].power)
-    ratio, freedom, places = _by_band(_white(evidence, fit, slot, left), came, bands, least, leans)
+    ratio, freedom, places = _by_band(clipped_white(evidence, fit, slot, left), came, bands, least, leans)
     nats = _beyond_chance(ratio, freedom, 2.0 * freedom)
     rounded = bands > _FROM * 2.0 * basis.n * basis.interval_s * rounded_hz
     if np.max(nats[rounded], initial=0.0) > MARGIN + penalty:
@@ -76,7 +76,7 @@ def _bands(count: int, interval_s: float) -> NDArray[np.int64]:
     return doubled[doubled < min(count // 4, 2.0 * count * interval_s * _HIGHEST_HZ)]
 
 
-def _white(evidence: Evidence, fit: Fit, slot: Slot, left: Array) -> Array:
+def clipped_white(evidence: Evidence, fit: Fit, slot: Slot, left: Array) -> Array:
     """Return the whitened coefficients (n,) of what is left (n,), outliers clipped."""
     weight = evidence.basis[slot].each(fit.noise[slot].power ** -0.5)
     return to_cosine(np.clip(idct(to_cosine(left) * weight, norm="ortho"), -_CLIP, _CLIP))
@@ -142,7 +142,7 @@ def _by_rounding(
     """Return mean and variance of the likelihood ratio by band that rounding errors alone make of the same motion."""
     scene, spread = evidence.library.scenes[slot[0]], evidence.library.spread[slot]
     errors = rounding_errors(scene, slot[1], noise)
-    ratios = [_by_band(_white(evidence, fit, slot, left / spread), came, bands, least)[0] for left in errors]
+    ratios = [_by_band(clipped_white(evidence, fit, slot, left / spread), came, bands, least)[0] for left in errors]
     return np.mean(ratios, axis=0), np.var(ratios, axis=0, ddof=1)
 
 

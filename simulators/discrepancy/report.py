@@ -201,7 +201,7 @@ def _report(
     named, rejected = _kept(search, held)
     noise = name_noise(evidence, search.fit)
     silenced = {a.hypothesis.channel for a in named if isinstance(get_effect(a.hypothesis.effect), SampleEffect)}
-    unexplained = judge(search, named, noise.other, silenced | {one.channel for one in read_off})
+    unexplained = judge(search, named, noise, silenced | {one.channel for one in read_off})
     named = [a for a in named if not any(a is other for other in unexplained.withdrawn)]
     curves = sorted(unexplained.curves, key=lambda a: -a.score)[:1]
     find_rivals(search, [*named, *curves], lambda share, text: tell(0.85 + 0.1 * share, text))

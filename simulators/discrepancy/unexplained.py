@@ -12,8 +12,9 @@ from scipy.fft import idct
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
+from simulators.discrepancy.bursts import find_bursts
 from simulators.discrepancy.candidates import Kind
-from simulators.discrepancy.noise_names import OtherNoise
+from simulators.discrepancy.noise_names import NamedNoise
 from simulators.discrepancy.nonstationarity import Unsteady, find_unsteady
 from simulators.discrepancy.sparse import Sparse, find_sparse
 
@@ -49,9 +50,7 @@ class Unexplained:
         return {"empirical": self.terms, "misfits": self.misfits, "unsteady": self.unsteady}
 
 
-def judge(
-    search: Search, named: Sequence[Adopted], other_noise: Sequence[OtherNoise], silenced: Collection[str]
-) -> Unexplained:
+def judge(search: Search, named: Sequence[Adopted], noise: NamedNoise, silenced: Collection[str]) -> Unexplained:
     """Sort what was adopted without a name into misfits of a name and structure unknown.
 
     ``silenced``: channels whose noise comes and goes because a limit or a dead band silences it.
@@ -103,21 +102,28 @@ def judge(
             withdrawn += steps + _stood_in(named, gains, channel, total)
             term = f"{len(steps)} jumps"
             terms.append({"kind": "sparse", "channel": channel, "term": term, "evidence_nats": total})
-    for noise in (n for n in other_noise if n.channel not in silenced):
-        low, high = noise.band_hz
+    for other in (n for n in noise.other if n.channel not in silenced):
+        low, high = other.band_hz
         text = f"noise of another colour from {low:.2g} to {high:.2g} Hz"
-        terms.append({"kind": "noise", "channel": noise.channel, "term": text, "evidence_nats": noise.gain})
+        terms.append({"kind": "noise", "channel": other.channel, "term": text, "evidence_nats": other.gain})
     swallowed = [
         _swallowed(one)
         for one in find_sparse(search.evidence, search.fit)
         if CHANNELS[one.slot[1]] not in silenced or one.nats > SILENCED_SHARE * _most(gains, CHANNELS[one.slot[1]])
     ]
-    restless = [one for one in find_unsteady(search.evidence, search.fit) if one.channel not in silenced]
+    restless = [one for one in _unsteady(search, noise) if one.channel not in silenced]
     unsteady = swallowed + [_restless(one) for one in restless]
     for found in unsteady:
         terms.append(found)
         withdrawn += _stood_in(named, gains, str(found["channel"]), float(found["evidence_nats"]))
     return Unexplained(terms, curves, withdrawn, misfits, unsteady)
+
+
+def _unsteady(search: Search, noise: NamedNoise) -> list[Unsteady]:
+    """Return what comes and goes, and larger white noise that does, of which low frequencies show little."""
+    found = find_unsteady(search.evidence, search.fit)
+    white = {one.channel for one in noise.found if one.effect == "random_walk"} - {one.channel for one in found}
+    return found + find_bursts(search.evidence, search.fit, white)
 
 
 def _most(gains: Mapping[int, Mapping[str, float]], channel: str) -> float:
