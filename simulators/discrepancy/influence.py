@@ -39,7 +39,9 @@ def gains_but_one(evidence: Evidence, hypothesis: Hypothesis, fit: Fit) -> tuple
     column = _white(evidence, fit, slots, [library.added(s, ids, sizes / scale) for s in slots])
     left = _white(evidence, fit, slots, [library.left(s, ids, fit.amplitude) for s in slots])
     score = whole - column * (left + column)
-    return 0.5 * whole, float(np.min(score**2 / np.maximum(2.0 * (whole - column**2), 1e-300)))
+    others = whole - column**2
+    but_one = np.divide(score**2, 2.0 * others, out=np.zeros_like(score), where=others > _RIDGE * whole)
+    return 0.5 * whole, float(np.min(but_one))
 
 
 def _white(evidence: Evidence, fit: Fit, slots: Sequence[Slot], coefficients: Sequence[Array]) -> Array:
