@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.recording import Recording
 from simulators.discrepancy.repair import MOST_UNREAD
+from simulators.discrepancy.steady_clock import stamp_scatter_s
 from simulators.discrepancy.switched_on import tell_switch_on
 
 
@@ -21,6 +22,11 @@ def remarks(recordings: Sequence[Recording]) -> list[str]:
             f"Time stamps, the first at {at}, cannot count from switch-on: all times are counted from the first sample."
         )
     for recording in recordings:
+        if scatter_s := stamp_scatter_s(recording.samples):
+            said.append(
+                f"The time stamps of {recording.path.name} scatter by {1e3 * scatter_s:.2g} ms about a steady clock, "
+                "by which the readings do not: the clock stands for them."
+            )
         said += _unread(recording, "temperature", recording.samples["temperature"][:, :1].ravel())
         said += _unread(recording, "supply voltage", recording.samples["supply"])
     return said

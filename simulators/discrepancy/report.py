@@ -35,6 +35,7 @@ from simulators.discrepancy.remarks import remarks
 from simulators.discrepancy.rivals import find_rivals, names_instead
 from simulators.discrepancy.silence import find_silenced
 from simulators.discrepancy.standing import Stuck, find_stuck, without_stuck
+from simulators.discrepancy.steady_clock import at_steady_rate
 from simulators.discrepancy.stood_between_steps import stood_between_steps
 from simulators.discrepancy.switched_on import since_switch_on
 from simulators.discrepancy.time_tags import TimeTags, find_time_tags
@@ -98,7 +99,7 @@ def discrepancy(
         raise ValueError("no recording given; give one or more")
     tell = progress or _silent
     tell(0.02, "predicting")
-    counted = since_switch_on(recordings)
+    counted = at_steady_rate(since_switch_on(recordings))
     raw = _compared(counted, model)
     mistakes = find_mistakes(raw)
 

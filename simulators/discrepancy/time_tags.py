@@ -18,7 +18,7 @@ from scipy.stats import siegelslopes
 
 from drivers.recording import Recording
 from simulators.discrepancy.candidates import TIMING_SIGMA_S
-from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.compare import Scene, true_rates
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ _LEAST = 60.0  # by how much χ² must fall, of each triad, and rise beside the 
 _FEWEST_ENDS, _MOST_ENDS = 4, 60  # of turns that are looked at
 _AGREE, _ASTRAY_S = 0.8, 5e-3  # share of them that are no further off the line
 _TRIADS_S = 5e-3  # by which what accelerometers and gyros say may differ
+_FINE_S = 2e-3  # parts of samples within which readings are foretold
 _SHARPEST_S = 1e-4  # to which a lateness is known at best
 _LEAST_NOISE = 1e-12  # of a reading [SI]: one that was simulated may have none
 _CHARGED = 6.0  # nats of a delay, or of a clock's error
@@ -192,19 +193,21 @@ class _End:
 
     def left(self, late_s: float) -> Array:
         """Return χ² that is left, of accelerometers and gyros, where the readings are so late."""
-        when = self.edges_s - late_s
-        sums = np.column_stack([np.interp(when, self.at_s, column) for column in self.integral.T])
-        square = np.square(self.readings - np.diff(sums, axis=0) / np.diff(self.edges_s)[:, None])[self.came]
-        return np.array([square[:, triad].sum() for triad in _TRIADS])
+        return self._squares(self.readings - self._predicted(late_s))
 
     def told(self, late_s: float) -> Array:
         """Return χ² by which the prediction changes, of accelerometers and gyros, if the readings are so late."""
-        sums = [
-            np.column_stack([np.interp(self.edges_s - late, self.at_s, column) for column in self.integral.T])
-            for late in (0.0, late_s)
-        ]
-        square = np.square(np.diff(sums[1] - sums[0], axis=0) / np.diff(self.edges_s)[:, None])[self.came]
-        return np.array([square[:, triad].sum() for triad in _TRIADS])
+        return self._squares(self._predicted(late_s) - self._predicted(0.0))
+
+    def _predicted(self, late_s: float) -> Array:
+        when = self.edges_s - late_s
+        sums = np.column_stack([np.interp(when, self.at_s, column) for column in self.integral.T])
+        return np.asarray(np.diff(sums, axis=0) / np.diff(self.edges_s)[:, None])
+
+    def _squares(self, off: Array) -> Array:
+        """Return the squares of what came (m, 6), but its mean, by triad: a bias, or gravity by a wrong clock."""
+        off = off[self.came] - off[self.came].mean(axis=0)
+        return np.array([np.square(off[:, triad]).sum() for triad in _TRIADS])
 
     def lateness(self) -> float | None:
         """Return by how much [s] this end is late; none where the readings do not tell to some milliseconds."""
@@ -228,9 +231,24 @@ def _ends(scene: Scene) -> list[_End]:
         low, high = np.searchsorted(edges, [end_s - _ABOUT_S - _LONGEST_S, end_s + _ABOUT_S + _LONGEST_S])
         if low > 0 and high < len(edges):
             rows, reach = slice(first, last), slice(low, high + 1)
-            readings, integral = scene.measured[rows] / sigma, sums[reach] / sigma
-            found.append(_End(end_s, edges[first : last + 1], readings, came[rows], edges[reach], integral))
+            at_s, integral = _within_samples(scene, edges[reach], sums[reach])
+            readings = scene.measured[rows] / sigma
+            found.append(_End(end_s, edges[first : last + 1], readings, came[rows], at_s, integral / sigma))
     return found
+
+
+def _within_samples(scene: Scene, edges_s: Array, sums: Array) -> tuple[Array, Array]:
+    """Return more times (k,) and what is predicted up to each (k, 6), from that at samples' edges (m,), (m, 6).
+
+    A turn may begin within a sample, where no straight line between its edges knows of it.
+    """
+    parts = int(np.ceil(float(np.diff(edges_s).max()) / _FINE_S))
+    places = np.arange(len(edges_s))
+    at_s = np.interp(np.linspace(0.0, len(edges_s) - 1.0, (len(edges_s) - 1) * parts + 1), places, edges_s)
+    rates = np.hstack(true_rates(scene.setup, at_s, np.diff(at_s)))
+    true = np.concatenate([np.zeros((1, 6)), np.cumsum(rates * np.diff(at_s)[:, None], axis=0)])
+    rest = sums - true[::parts]
+    return at_s, true + np.column_stack([np.interp(at_s, edges_s, column) for column in rest.T])
 
 
 def _least(cost: Callable[[float], float], near_s: float) -> float:
