@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -186,10 +187,17 @@ def _segments(setup: Setup) -> list[_Segment]:
         before, after = (C_tb.T, np.eye(3)) if motion.frame == "body" else (np.eye(3), C_tb.T)
         turn = _Segment(motion.start_s, motion.end_s, motion.rate_radps, axis, before, after)
         segments.append(turn)
-        C_tb, end_s = turn.C_tb(np.array(motion.end_s)), motion.end_s
+        turned = _turned(motion.axis, motion.rate_radps * (motion.end_s - motion.start_s))
+        C_tb, end_s = np.asarray(before.T @ turned @ after.T), motion.end_s
     # A rest has no start of its own: with rate zero its attitude is the same however far back it reaches.
     segments.append(_Segment(end_s, math.inf, 0.0, up, C_tb.T, np.eye(3)))
     return [replace(s, start_s=max(s.start_s, -1e12)) for s in segments]
+
+
+@lru_cache(maxsize=1024)
+def _turned(axis: Vector, angle_rad: float) -> Array:
+    """Return the rotation (3, 3) about an axis; set-ups that are compared have nearly all turns in common."""
+    return rotation_matrix(_unit(axis) * angle_rad)
 
 
 def _unit(axis: Vector) -> Array:
