@@ -287,9 +287,9 @@ class Evidence:
         matrix, right = np.zeros((len(ids), len(ids))), np.zeros(len(ids))
         for slot in self.slots:
             products = self.inner[slot].of(ids)
-            weight = self.came[slot] / power[slot]
-            matrix[np.ix_(products.where, products.where)] += np.tensordot(weight, products.gram, 1)
-            right[products.where] += weight @ products.with_residual
+            gram, with_residual = products.weighted(self.came[slot] / power[slot])
+            matrix[np.ix_(products.where, products.where)] += gram
+            right[products.where] += with_residual
         return matrix, right
 
     def stack(self, slot: Slot) -> tuple[tuple[int, ...], Array]:
@@ -435,15 +435,14 @@ class Evidence:
         """Add one slot's products to the normal equations, weighted by its noise."""
         known = self._weighed.get(slot)
         if known is None or known[0].gram is not products.gram or known[1] is not noise:
-            weight = self.came[slot] / noise.power
-            known = products, noise, np.tensordot(weight, products.gram, 1), weight @ products.with_residual
+            known = products, noise, *products.weighted(self.came[slot] / noise.power)
             self._weighed[slot] = known
         matrix[np.ix_(products.where, products.where)] += known[2]
         right[products.where] += known[3]
 
     def _rss(self, slot: Slot, products: Products, amplitude: Array) -> Array:
         inner, size = self.inner[slot], amplitude[products.where]
-        left = inner.residual2 - 2.0 * products.with_residual @ size + (products.gram @ size) @ size
+        left = inner.residual2 - 2.0 * products.with_residual @ size + products.within(np.outer(size, size))
         return np.asarray(np.maximum(left, 1e-12 * inner.residual2))
 
     def noise_value(self, slot: Slot, noise: NoiseFit, left: Array) -> float:
@@ -477,6 +476,5 @@ def _torn(gaps: Gaps, step: float, basis: Basis) -> float:
 
 def _known(products: Products, covariance: Array) -> Array:
     """Return how much of each bin (bins,) the columns whose amplitudes are found (k of them, the first) take up."""
-    free = int(np.searchsorted(products.where, len(covariance)))
-    where = products.where[:free]
-    return np.asarray(np.einsum("bij,ij->b", products.gram[:, :free, :free], covariance[np.ix_(where, where)]))
+    where = products.where[: np.searchsorted(products.where, len(covariance))]
+    return products.within(covariance[np.ix_(where, where)])

@@ -10,6 +10,8 @@ import itertools
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from simulators.discrepancy.candidates import Library, Slot
 
 Array = NDArray[np.float64]
+Place = TypeVar("Place", int, NDArray[np.int64])
 
 _MANY = 64
 _NOTHING = 1e-15  # share of a column's power: those of turns and of their errors are 1e5 σ, and cancel
@@ -26,11 +29,25 @@ _WEIGHTS = 4  # ... and weights, of which a step of the search uses two or three
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Of those columns that touch the slot, ``where`` (m,): Gram (bins, m, m), and with the residual (bins, m)."""
+    """Of those columns that touch the slot, ``where`` (m,): with each other, and with the residual (bins, m).
+
+    Those with each other are the Gram matrices' lower triangles, row by row: ``gram`` (bins, m (m + 1) / 2). Half of a
+    matrix is all of it, and it is memory that a sum over bins or columns waits for.
+    """
 
     where: NDArray[np.int64]
     gram: Array
     with_residual: Array
+
+    def weighted(self, weight: Array) -> tuple[Array, Array]:
+        """Return Gram (m, m) and products with the residual (m,), summed over bins with a weight (bins,)."""
+        return unpacked(weight @ self.gram, len(self.where)), weight @ self.with_residual
+
+    def within(self, matrix: Array) -> Array:
+        """Return the sum (bins,) of the first columns' products, each times its entry of a symmetric matrix (k, k)."""
+        rows, columns = lower(len(matrix))
+        twice = np.where(rows == columns, 1.0, 2.0) * matrix[rows, columns]
+        return np.asarray(self.gram[:, : len(rows)] @ twice)
 
 
 class InnerProducts:
@@ -54,7 +71,6 @@ class InnerProducts:
         ids = sorted(parts, key=lambda i: -reach[i])  # the widest bands first
         self.place = {i: place for place, i in enumerate(ids)}
         """Of the library's columns that touch the slot, which rows and columns of the Gram matrices are theirs."""
-        self._lower = np.tril_indices(len(parts))
         self._gram, self.with_residual, self.residual2 = self._binned(parts, reach)
         self._late: dict[tuple[int, int], Array] = {}
         self._across: dict[int, Array] = {}
@@ -62,16 +78,14 @@ class InnerProducts:
         self._weighted: deque[tuple[Array, tuple[Array, Array]]] = deque(maxlen=_WEIGHTS)
 
     def _binned(self, parts: dict[int, Array], reach: dict[int, int]) -> tuple[Array, Array, Array]:
-        """Return the Gram matrices' lower triangles (bins, m (m + 1) / 2), the products with the residual, and its own.
-
-        Half of a matrix is all of it, and it is memory that a sum over bins waits for.
-        """
+        """Return the Gram matrices' lower triangles (bins, m (m + 1) / 2), the products with the residual, its own."""
         bins, n = len(self._bounds) - 1, len(self._residual)
         matrix = np.empty((n, len(parts) + 1))
         matrix[:, 0] = self._residual
         for i, place in self.place.items():
             matrix[:, place + 1] = parts[i]
-        gram, with_residual = np.zeros((bins, len(self._lower[0]))), np.zeros((bins, len(parts)))
+        rows_of, columns_of = lower(len(parts))
+        gram, with_residual = np.zeros((bins, len(rows_of))), np.zeros((bins, len(parts)))
         residual2 = np.zeros(bins)
         reaches = np.array([bins] + [reach[i] for i in self.place])
         for b, (first, end) in enumerate(itertools.pairwise(self._bounds)):
@@ -84,7 +98,7 @@ class InnerProducts:
             products = rows.T @ rows
             residual2[b], with_residual[b, : count - 1] = products[0, 0], products[1:, 0]
             within = slice(count * (count - 1) // 2)
-            gram[b, within] = products[1:, 1:][self._lower[0][within], self._lower[1][within]]
+            gram[b, within] = products[1:, 1:][rows_of[within], columns_of[within]]
         return gram, with_residual, residual2
 
     def of(self, ids: Sequence[int]) -> Products:
@@ -100,25 +114,25 @@ class InnerProducts:
     def _gathered(self, ids: tuple[int, ...]) -> Products:
         """Return products put together; those of columns that a set at hand begins with as well are taken from it."""
         bins, count = len(self.residual2), len(ids)
-        gram, with_residual = np.empty((bins, count, count)), np.empty((bins, count))
+        gram, with_residual = np.empty((bins, _entry(count, 0))), np.empty((bins, count))
         alike = max(self._at_hand, key=lambda other: _shared(other, ids), default=())
         begin = _shared(alike, ids)
+        known = _entry(begin, 0)
         if begin:
-            gram[:, :begin, :begin] = self._at_hand[alike].gram[:, :begin, :begin]
+            gram[:, :known] = self._at_hand[alike].gram[:, :known]
             with_residual[:, :begin] = self._at_hand[alike].with_residual[:, :begin]
-        first = np.array([place for place, i in enumerate(ids) if i < self._base], dtype=np.int64)
-        among = np.array([self.place[ids[place]] for place in first], dtype=np.int64)
-        for place in range(begin, count):
-            if ids[place] < self._base:
-                local = self.place[ids[place]]
-                high, low = np.maximum(among, local), np.minimum(among, local)
-                products = self._gram[:, high * (high + 1) // 2 + low]
-                gram[:, place, first] = gram[:, first, place] = products
-                with_residual[:, place] = self.with_residual[:, local]
-        for place in (place for place, i in enumerate(ids) if i >= self._base):
+        local = np.array([self.place[i] if i < self._base else -1 for i in ids], dtype=np.int64)
+        rows, columns = (local[one[known:]] for one in lower(count))
+        first = np.minimum(rows, columns) >= 0
+        high, low = np.maximum(rows, columns)[first], np.minimum(rows, columns)[first]
+        gram[:, known + np.flatnonzero(first)] = self._gram[:, _entry(high, low)]
+        early = begin + np.flatnonzero(local[begin:] >= 0)
+        with_residual[:, early] = self.with_residual[:, local[early]]
+        for place in np.flatnonzero(local < 0).tolist():
             with_residual[:, place] = self._product(ids[place], -1)
             for other in range(0 if place >= begin else begin, count):
-                gram[:, place, other] = gram[:, other, place] = self._product(ids[place], ids[other])
+                entry = _entry(max(place, other), min(place, other))
+                gram[:, entry] = self._product(ids[place], ids[other])
         return Products(np.arange(count), gram, with_residual)
 
     def _product(self, i: int, j: int) -> Array:
@@ -134,10 +148,21 @@ class InnerProducts:
         for known, found in self._weighted:
             if np.array_equal(known, weight):
                 return found
-        gram, (rows, columns) = np.empty((len(self.place), len(self.place))), self._lower
-        gram[rows, columns] = gram[columns, rows] = weight @ self._gram
-        found = gram, weight @ self.with_residual
+        found = unpacked(weight @ self._gram, len(self.place)), weight @ self.with_residual
         self._weighted.append((weight, found))
+        return found
+
+    def between(self, some: Sequence[int], others: Sequence[int], weight: Array) -> Array:
+        """Return products (k, m) of some of the library's columns with others, late ones too, summed with a weight."""
+        found = np.empty((len(some), len(others)))
+        early = [place for place, i in enumerate(others) if i < self._base]
+        mine = np.array([self.place[i] for i in some], dtype=np.int64)[:, None]
+        among = np.array([self.place[others[place]] for place in early], dtype=np.int64)
+        entries = _entry(np.maximum(mine, among), np.minimum(mine, among))
+        found[:, early] = (weight @ self._gram[:, entries.ravel()]).reshape(entries.shape)
+        for place, i in enumerate(others):
+            if i >= self._base:
+                found[:, place] = [weight @ self._product(i, j) for j in some]
         return found
 
     def across(self, i: int, weight: Array) -> Array:
@@ -147,6 +172,24 @@ class InnerProducts:
             others = (self._columns[j].parts.get(self._slot, 0.0) for j in self.place)
             self._across[i] = np.array([np.add.reduceat(other * part, starts) for other in others])
         return np.asarray(self._across[i] @ weight)
+
+
+@cache
+def lower(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows and columns of the lower triangle of a matrix (count, count), row by row."""
+    return np.tril_indices(count)
+
+
+def unpacked(triangle: Array, count: int) -> Array:
+    """Return the symmetric matrix (count, count) of which a lower triangle is given."""
+    matrix, (rows, columns) = np.empty((count, count)), lower(count)
+    matrix[rows, columns] = matrix[columns, rows] = triangle
+    return matrix
+
+
+def _entry(row: Place, column: Place) -> Place:
+    """Return where in a lower triangle a row's entry stands, or where the row begins."""
+    return row * (row + 1) // 2 + column
 
 
 def _shared(one: Sequence[int], two: Sequence[int]) -> int:

@@ -20,7 +20,7 @@ Sums = tuple[Array, Array, Array]
 """Weighted products of columns with each other, with the residual, and with the columns of the fit."""
 
 _APART = 1e-3  # squared sine between two columns that are tried together
-_FEW = 8  # rows that are multiplied one by one
+_FEW = 8  # columns that are multiplied one by one
 _LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
 
 
@@ -116,8 +116,27 @@ class Look:
 
     def _of_first(self, columns: NDArray[np.int64]) -> Sums:
         """Return the sums of the library's first columns, k each of m hypotheses (m, k)."""
-        whole, score, cross = self._first
-        return whole[columns[:, :, None], columns[:, None, :]], score[columns], cross[columns]
+        if columns.size > _FEW:
+            sums, places = self._first, columns
+        else:
+            sums, places = self._some(columns.ravel().tolist()), np.arange(columns.size).reshape(columns.shape)
+        whole, score, cross = sums
+        return whole[places[:, :, None], places[:, None, :]], score[places], cross[places]
+
+    def _some(self, ids: list[int]) -> Sums:
+        """Return the same as :meth:`_first` of a few columns, for which the others need not be summed."""
+        evidence, parts = self.evidence, self.evidence.library.columns
+        own, score, cross = np.zeros((len(ids), len(ids))), np.zeros(len(ids)), np.zeros((len(ids), len(self.active)))
+        for slot in evidence.touched(ids):
+            inner, weight = evidence.inner[slot], self._weight[slot]
+            mine = [place for place, i in enumerate(ids) if i in inner.place]
+            beside = [place for place, i in enumerate(self.active) if slot in parts[i].parts]
+            some = [ids[place] for place in mine]
+            sums = inner.between(some, [*some, *(self.active[place] for place in beside)], weight)
+            own[np.ix_(mine, mine)] += sums[:, : len(mine)]
+            cross[np.ix_(mine, beside)] += sums[:, len(mine) :]
+            score[mine] += weight @ inner.with_residual[:, [inner.place[i] for i in some]]
+        return own, score, cross
 
     @cached_property
     def _first(self) -> Sums:

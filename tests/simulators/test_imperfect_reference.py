@@ -96,7 +96,7 @@ def test_a_false_clock_is_told_from_errors_of_timing_in_the_last_digits(tmp_path
         products = evidence.inner[slot].of(large.ids)
         size = large.amplitude[products.where]
         summed = np.add.reduceat(evidence.library.residual[slot] ** 2, bins)
-        summed += (products.gram @ size) @ size - 2.0 * products.with_residual @ size
+        summed += products.within(np.outer(size, size)) - 2.0 * products.with_residual @ size
         assert np.max(np.abs(summed - left) / fit.noise[slot].power) < 0.01
 
 
