@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 _LEADERS = 12
 _REFINED = 12
-_BENT = 3.0  # share of its promise that a chord of the right size may add
+_BENT, _REFINES = 3.0, 0.3  # share of its promise that a chord of the right size may add, or another shape
 _RANKED = 3  # answers that are kept for when they are asked for again
 _SAME_GAIN = 1e-6  # share of a gain by which that of the same column may be off
 _STEPS_TRIED = 3  # of a channel
@@ -130,7 +130,7 @@ class Ranking:
     def polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
         """Refine the shapes once more, each beside all others and in the noise that is left with all of them."""
         for place, h in enumerate(adopted):
-            if h.kind is not Kind.NAMED or not (h.shape or h.chord):
+            if h.kind is not Kind.NAMED or not (h.shape or h.chord) or self.shapes.is_settled(h, current):
                 continue
             others = [i for other in adopted if other is not h for i in other.columns]
             rest = replace(current, ids=tuple(i for i in current.ids if i in others or i in self.evidence.prior))
@@ -174,9 +174,8 @@ class Ranking:
         refined = 0
         for promise, hypothesis in self._leaders(current, adopted, looks):
             least, alike = wanted[hypothesis.kind]
-            slack = _BENT if hypothesis.chord else 0.3  # a chord of another size may fit far better
             at_best = promise * _NEAREST_SIZE if hypothesis.unit_amplitude else promise
-            if promise + max(_SLACK, slack * promise) < least and at_best < alike:
+            if promise + slack(promise, bent=bool(hypothesis.chord)) < least and at_best < alike:
                 continue
             if not hypothesis.is_plain and refined < _REFINED:
                 hypothesis, refined = self.shapes.refine(hypothesis, current, look), refined + 1
@@ -273,6 +272,11 @@ class Ranking:
                 if gain > math.log(basis.n) + _LINE_NATS:
                     late.append(self.shapes.line(slot, hertz))
         return [h for h in late if h is not None]
+
+
+def slack(score: float, *, bent: bool) -> float:
+    """Return the nats that refining may still add to a score; a chord of another size may fit far better."""
+    return max(_SLACK, (_BENT if bent else _REFINES) * score)
 
 
 def plainest(named: Sequence[Scored]) -> Scored | None:

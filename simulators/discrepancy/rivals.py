@@ -7,6 +7,7 @@ one. Two such names tie with the one found as a third name would.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 
@@ -97,8 +98,9 @@ def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: F
     mine = bayes_factor(look.gain(h), h.freedom, ranking.places(h))
     tied = []
     for pair in pairs(ranking, pool, look, mine - TIE - SLACK_OF_TWO):
-        score, both, fit = joint(ranking, pair, rest, without)
-        if h.name in (pair[0].name, pair[1].name):
+        same = h.name in (pair[0].name, pair[1].name)
+        score, both, fit = joint(ranking, pair, rest, without, -math.inf if same else own.score - TIE)
+        if same:
             score = max(score, own.score + fit.value - own.fit.value)  # the same in other words: the fit alone counts
         if score > own.score - TIE:
             tied.append(Together((both[-2], both[-1]), own.score - score))
@@ -112,7 +114,7 @@ def _exchanged(ranking: Ranking, search: Search, first: Adopted, second: Adopted
     without = ranking.fit_of(rest, search.fit)
     own = of_two(ranking, mine, search.fit.value - without.value)
     tied = {s.hypothesis.name for one in (first, second) for s in one.ties}
-    for score, both, _ in exchanges(ranking, mine, rest, without, search.fit):
+    for score, both, _ in exchanges(ranking, mine, rest, without, search.fit, own - TIE):
         if not tied & {h.name for h in both[-2:]}:  # or it says again what each alone has said
             first.pairs.append(Together((both[-2], both[-1]), own - score, mine[1]))
             second.pairs.append(Together((both[-1], both[-2]), own - score, mine[0]))

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import FITTED_PLACES, STEP_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
@@ -14,12 +15,15 @@ from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import MARGIN
 
+Array = NDArray[np.float64]
+
 OF_ALL = frozenset({"time_constant", "half_width", "limit", "reference", "nominal"})
 """Shapes that hang on all of a record."""
 _WIDTH = {"time_constant": 0.5, "half_width": 0.3, "limit": 0.05, "reference": 4.0, "nominal": 1.0}
 _LOOSER = 1.3  # times a shape, beside which it may be of any between
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
+_SETTLED = 0.02  # share of its size by which the amplitude of a chord may be off
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
 
 
@@ -50,6 +54,11 @@ class Shapes:
             return hypothesis
         finer = self._zoomed(hypothesis, look)
         return self._as_samples_say(finer, look) if hypothesis.effect == "dead_band" else self._as_likely(finer, look)
+
+    def is_settled(self, hypothesis: Hypothesis, fit: Fit) -> bool:
+        """Whether it is a chord to the amplitudes that a fit with it finds, so that there is nothing to refine."""
+        found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
+        return bool(hypothesis.chord) and _is_near(found, hypothesis)
 
     def other(self, one: Hypothesis) -> Hypothesis | None:
         """Return a name at another shape, beside which it may be of any between; none if it has no such shape."""
@@ -143,8 +152,7 @@ class Shapes:
             fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
             found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
             sizes = np.where(np.abs(found) < 1e-9, 1e-9, np.clip(found, -largest, largest))
-            known = np.array(hypothesis.chord)
-            if np.max(np.abs(sizes - known)) < 0.02 * np.max(np.abs(known)) or np.max(np.abs(found)) < 1e-9:
+            if _is_near(sizes, hypothesis) or np.max(np.abs(found)) < 1e-9:
                 break
             at = tuple(sizes.tolist())
             trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, at, hypothesis.shape)
@@ -152,3 +160,9 @@ class Shapes:
                 break
             hypothesis = trial
         return hypothesis
+
+
+def _is_near(sizes: Array, chord: Hypothesis) -> bool:
+    """Whether sizes are those that a chord was taken at."""
+    known = np.array(chord.chord)
+    return bool(np.max(np.abs(sizes - known)) < _SETTLED * np.max(np.abs(known)))

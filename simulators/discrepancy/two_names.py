@@ -14,7 +14,7 @@ from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
-from simulators.discrepancy.ranking import Ranking, Scored
+from simulators.discrepancy.ranking import Ranking, Scored, slack
 from simulators.discrepancy.whitening import STATED
 
 SLACK_OF_TWO = 3.0
@@ -52,7 +52,7 @@ def together(
     for channel, slot in wide.items():
         for pair in pairs(ranking, [h for h in pool if ranking.channels(h) == {channel}], look, margin):
             timed = [_timed(ranking, h, slot, [*adopted, *(o for o in pair if o is not h)], current) for h in pair]
-            score, both, fit = joint(ranking, timed, adopted, current)
+            score, both, fit = joint(ranking, timed, adopted, current, margin)
             if score > max(margin, best[0] if best else 0.0):
                 best = score, both, fit
     return best
@@ -76,7 +76,7 @@ def in_place_of_curve(
         look = Look(ranking.evidence, without, curve.fit.noise)
         pool = [h for h in ranking.unlike({h.name for h in rest}) if ranking.channels(h) == channels]
         for pair in pairs(ranking, pool, look, least - SLACK_OF_TWO):
-            score, both, fit = joint(ranking, pair, rest, without)
+            score, both, fit = joint(ranking, pair, rest, without, least)
             if score > least and (best is None or fit.value > best[0]):
                 best = fit.value, both, fit
     return None if best is None else best[1:]
@@ -90,21 +90,26 @@ def in_place_of_two(
     What goes best alone may not be what goes best with another: of three accelerometers two that are off are nearly
     gravity, which leaves the third to be off by as much.
     """
-    best: tuple[float, list[Hypothesis], Fit] | None = None
+    better, best = TIE, None
     for first, second in combinations([h for h in adopted if h.kind is Kind.NAMED], 2):
         rest = [h for h in adopted if h is not first and h is not second]
         without = ranking.fit_of(rest, current)
         own = of_two(ranking, (first, second), current.value - without.value)
-        for score, both, fit in exchanges(ranking, (first, second), rest, without, current):
-            if score > own + TIE and (best is None or score - own > best[0]):
-                best = score - own, both, fit
-    return None if best is None else best[1:]
+        for score, both, fit in exchanges(ranking, (first, second), rest, without, current, own + better):
+            if score > own + better:
+                better, best = score - own, (both, fit)
+    return best
 
 
 def exchanges(
-    ranking: Ranking, mine: tuple[Hypothesis, Hypothesis], rest: Sequence[Hypothesis], without: Fit, current: Fit
+    ranking: Ranking,
+    mine: tuple[Hypothesis, Hypothesis],
+    rest: Sequence[Hypothesis],
+    without: Fit,
+    current: Fit,
+    least: float,
 ) -> list[tuple[float, list[Hypothesis], Fit]]:
-    """Return the two other names each that do about as well as two adopted beside the rest: score, all, their fit.
+    """Return the two other names each that score more than ``least`` in the place of two: score, all, their fit.
 
     Of two that share no sensor, one of the others must touch what both do: else each is asked for alone. What it does
     elsewhere, the other may undo.
@@ -115,18 +120,25 @@ def exchanges(
     reach = (first | second).union(*map(ranking.channels, linking))
     pool = [h for h in others if ranking.channels(h) & reach]
     links = [bool(first & second) or h in linking for h in pool]
-    least = of_two(ranking, mine, current.value - without.value) - TIE
     look = Look(ranking.evidence, without, current.noise)
     told = pairs(ranking, pool, look, least - SLACK_OF_TWO, np.array(links, dtype=np.bool_))
-    found = [joint(ranking, pair, rest, without) for pair in told]
+    found = [joint(ranking, pair, rest, without, least) for pair in told]
     return [one for one in found if one[0] > least]
 
 
 def joint(
-    ranking: Ranking, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit
+    ranking: Ranking, pair: Sequence[Hypothesis], adopted: Sequence[Hypothesis], current: Fit, least: float
 ) -> tuple[float, list[Hypothesis], Fit]:
-    """Return the score of two names beside those adopted; all of them, shapes refined; their fit."""
-    both, fit = ranking.polish([*adopted, *pair], ranking.fit_of([*adopted, *pair], current))
+    """Return the score of two names beside those adopted; all of them, shapes refined; their fit.
+
+    What is so far below the ``least`` that is asked for that no refining brings it there is left as it is.
+    """
+    both = [*adopted, *pair]
+    fit = ranking.fit_of(both, current)
+    score = of_two(ranking, pair, fit.value - current.value)
+    if score + slack(score, bent=any(h.chord and not ranking.shapes.is_settled(h, fit) for h in pair)) < least:
+        return score, both, fit
+    both, fit = ranking.polish(both, fit)
     return of_two(ranking, both[len(adopted) :], fit.value - current.value), both, fit
 
 
