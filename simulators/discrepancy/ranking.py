@@ -127,14 +127,16 @@ class Ranking:
         ids = [i for h in hypotheses for i in h.columns]
         return self.evidence.fit(ids, start, [i for h in hypotheses if h.unit_amplitude for i in h.columns])
 
-    def polish(self, adopted: list[Hypothesis], current: Fit) -> tuple[list[Hypothesis], Fit]:
-        """Refine the shapes once more, each beside all others and in the noise that is left with all of them."""
-        for place, h in enumerate(adopted):
+    def polish(
+        self, adopted: list[Hypothesis], current: Fit, some: slice = slice(None)
+    ) -> tuple[list[Hypothesis], Fit]:
+        """Refine the shapes, or some, once more, each beside all others and in the noise that is left with all."""
+        for place, h in list(enumerate(adopted))[some]:
             if h.kind is not Kind.NAMED or not (h.shape or h.chord) or self.shapes.is_settled(h, current):
                 continue
             others = [i for other in adopted if other is not h for i in other.columns]
             rest = replace(current, ids=tuple(i for i in current.ids if i in others or i in self.evidence.prior))
-            finer = self.shapes.refine(h, rest, Look(self.evidence, rest, current.noise))
+            finer = self.shapes.refine(h, rest, Look(self.evidence, rest, current.noise), current)
             if finer is h:
                 continue
             trial = [*adopted[:place], finer, *adopted[place + 1 :]]

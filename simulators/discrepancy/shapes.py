@@ -43,12 +43,12 @@ class Shapes:
     def __init__(self, evidence: Evidence) -> None:
         self.evidence, self.library = evidence, evidence.library
 
-    def refine(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
-        """Return the hypothesis at its best shape nearby."""
+    def refine(self, hypothesis: Hypothesis, current: Fit, look: Look, whole: Fit | None = None) -> Hypothesis:
+        """Return the hypothesis at its best shape nearby, beside a fit; ``whole`` is one with it, if there is one."""
         if hypothesis.kind is not Kind.NAMED:
             return hypothesis
         if hypothesis.chord:
-            return self._chord(hypothesis, current, look)
+            return self._chord(hypothesis, current, look, whole)
         names = [name for name in hypothesis.shape if name in _ZOOMS]
         if len(names) != 1 or len(hypothesis.shape) != 1:
             return hypothesis
@@ -145,11 +145,11 @@ class Shapes:
             return _NEAR_LINE / self.library.longest_s
         return _WIDTH[name]
 
-    def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look) -> Hypothesis:
+    def _chord(self, hypothesis: Hypothesis, current: Fit, look: Look, whole: Fit | None) -> Hypothesis:
         """Take the columns as chords to the amplitudes they are found to have."""
         largest = {"clock_scale": 0.2, "latency": 1.0}.get(hypothesis.effect, 0.5)
         for _ in range(3):
-            fit = self.evidence.fit([*current.ids, *hypothesis.columns], current)
+            fit = whole or self.evidence.fit([*current.ids, *hypothesis.columns], current)
             found = fit.amplitude[[fit.ids.index(i) for i in hypothesis.columns]]
             sizes = np.where(np.abs(found) < 1e-9, 1e-9, np.clip(found, -largest, largest))
             if _is_near(sizes, hypothesis) or np.max(np.abs(found)) < 1e-9:
@@ -158,7 +158,7 @@ class Shapes:
             trial = self.library.setup_trial(hypothesis.effect, hypothesis.channel, at, hypothesis.shape)
             if trial is None or look.gain(trial) < look.gain(hypothesis) - 1.0:
                 break
-            hypothesis = trial
+            hypothesis, whole = trial, None
         return hypothesis
 
 

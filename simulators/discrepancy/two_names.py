@@ -131,15 +131,19 @@ def joint(
 ) -> tuple[float, list[Hypothesis], Fit]:
     """Return the score of two names beside those adopted; all of them, shapes refined; their fit.
 
-    What is so far below the ``least`` that is asked for that no refining brings it there is left as it is.
+    The two are refined first. What is so far below the ``least`` that is asked for that no refining brings it there is
+    left as it is.
     """
-    both = [*adopted, *pair]
+    both, own = [*adopted, *pair], slice(len(adopted), None)
     fit = ranking.fit_of(both, current)
     score = of_two(ranking, pair, fit.value - current.value)
-    if score + slack(score, bent=any(h.chord and not ranking.shapes.is_settled(h, fit) for h in pair)) < least:
-        return score, both, fit
-    both, fit = ranking.polish(both, fit)
-    return of_two(ranking, both[len(adopted) :], fit.value - current.value), both, fit
+    bent = any(h.chord and not ranking.shapes.is_settled(h, fit) for h in pair)
+    for some in (own, slice(len(adopted))):
+        if score + slack(score, bent=bent) < least:
+            break
+        both, fit = ranking.polish(both, fit, some)
+        score, bent = of_two(ranking, both[own], fit.value - current.value), False
+    return score, both, fit
 
 
 def of_two(ranking: Ranking, pair: Sequence[Hypothesis], gain: float) -> float:
