@@ -21,7 +21,7 @@ Sums = tuple[Array, Array, Array]
 
 _APART = 1e-3  # squared sine between two columns that are tried together
 _FEW = 8  # columns that are multiplied one by one
-_LEFT_OVER = 1e-7  # of a column's power, that the others must leave for it to be told from them
+_LEFT_OVER = 1e-9  # of a column's power, that the others must leave: of a clock's little more than turns' lateness
 
 
 class Look:

@@ -218,6 +218,16 @@ def test_a_delay_that_is_known_from_the_schedule_is_one_number_and_charged_for_a
     assert (hidden["effect"], hidden["channel"]) in [(one["effect"], one["channel"]) for one in names]
 
 
+def test_a_clock_is_told_though_nearly_all_it_does_is_done_by_turns_that_come_late(tmp_path: Path) -> None:
+    """What it makes of gravity is less than a ten-millionth of what it does at the ends of a laser gyro's turns."""
+    case = hidden_case(90629, 0, tmp_path)
+    (found,) = discrepancy([case.recording], case.model).findings
+    assert (found["effect"], found["channel"]) == ("clock_scale", "all")
+    (true,) = case.truth["effects"]
+    error = found["parameters"]["error"]
+    assert abs(error["value"] - true["parameters"]["error"]) < 3.3 * error["sigma"]
+
+
 def test_that_turns_are_at_other_times_than_stated_leaves_what_the_table_is_unsure_of_felt(tmp_path: Path) -> None:
     """A wrong clock: what 4 ms make of the ends of eight turns passed for noise beside which no angle is felt."""
     case = hidden_case(90625, 850, tmp_path)
