@@ -186,14 +186,18 @@ class _Triad:
         return self.left(_Wire(c), c) < _SHARE * self.left(_Wire(c, 0.0), c)
 
     def best(self, c: int) -> _Wire:
-        """Return the wire that explains a sensor: its own, unless another leaves next to nothing of what that does."""
+        """Return the wire that explains a sensor: its own, unless another leaves next to nothing of what that does.
+
+        Of another's input that is next to nothing either sign does: that it is turned, too, must tell by itself.
+        """
         own = self.left(_Wire(c), c)
         least, found = own, _Wire(c)
         for wire in self._wires(c):
             left = self.left(wire, c)
             fits = left < _SHARE * own and own - left > _LEAST and self.misfit(wire, c) < _MISFIT**2
-            if fits and left < least:
-                least, found = left, wire
+            cost = left + (_LEAST if wire.factor < 0.0 and wire.source != c else 0.0)
+            if fits and cost < least:
+                least, found = cost, wire
         return found
 
     def _wires(self, c: int) -> Iterator[_Wire]:

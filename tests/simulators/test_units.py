@@ -1,13 +1,15 @@
-"""Readings in another unit: rates for increments above all, of whole triads, whatever their sensors feel."""
+"""Readings in another unit, rates for increments above all, or of another sensor, whatever the sensors feel."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import closed_form
 import numpy as np
 import pytest
 from closed_form import Truth, model, recording
+from hidden_case import hidden_case
 
 from drivers.recording import Recording
 from simulators.discrepancy.report import discrepancy
@@ -97,3 +99,10 @@ def test_a_scale_error_is_no_unit_where_a_sample_takes_a_second(monkeypatch: pyt
     monkeypatch.setattr(closed_form, "RATE_HZ", 1.0)
     monkeypatch.setattr(closed_form, "DURATION_S", 900.0)
     assert told(multiplied({"accel_x": 1.003}, moving=True)) == {}
+
+
+def test_exchanged_gyros_of_which_one_feels_next_to_nothing_are_not_turned_as_well(tmp_path: Path) -> None:
+    """Of Earth's rate on the one either sign is as good: of chance it was the other."""
+    case = hidden_case(90629, 480, tmp_path)
+    (found,) = discrepancy([case.recording], case.model).findings
+    assert (found["effect"], found["channel"]) == ("axis_swap", "gyro_x<-gyro_y")
