@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.recording import Recording
 from simulators.discrepancy.repair import MOST_UNREAD
 from simulators.discrepancy.steady_clock import stamp_scatter_s
-from simulators.discrepancy.switched_on import tell_switch_on
+from simulators.discrepancy.switched_on import since_switch_on, tell_switch_on
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:
@@ -21,7 +21,7 @@ def remarks(recordings: Sequence[Recording]) -> list[str]:
         said.append(
             f"Time stamps, the first at {at}, cannot count from switch-on: all times are counted from the first sample."
         )
-    for recording in recordings:
+    for recording in since_switch_on(recordings):  # which puts back what stamps lost by rounding
         if scatter_s := stamp_scatter_s(recording.samples):
             said.append(
                 f"The time stamps of {recording.path.name} scatter by {1e3 * scatter_s:.2g} ms about a steady clock, "

@@ -108,7 +108,7 @@ def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: F
 
 
 def _exchanged(ranking: Ranking, search: Search, first: Adopted, second: Adopted) -> None:
-    """Add to the pairs of two that share a sensor what other two names would do as well as both of them."""
+    """Add to the pairs of each of two names which other two would do as well as both of them."""
     mine = first.hypothesis, second.hypothesis
     rest = [one.hypothesis for one in search.adopted if one is not first and one is not second]
     without = ranking.fit_of(rest, search.fit)
