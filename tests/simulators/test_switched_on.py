@@ -41,7 +41,7 @@ def test_a_transient_is_named_with_its_size_and_the_model_with_it_simulates_it(b
     (found,) = report.findings
     assert (report.verdict, found["effect"], found["channel"]) == ("named", "turn_on_transient", "gyro_y")
     for name, true in (("amplitude", SIZE), ("time_constant", FADES_S)):
-        assert abs(found["parameters"][name]["value"] - true) < 4.5 * found["parameters"][name]["sigma"]
+        assert abs(found["parameters"][name]["value"] - true) < 3.3 * found["parameters"][name]["sigma"]
     assert "counted from the first sample" in report.document["text"]
     assert discrepancy([case], report.model).verdict == "none"
 
