@@ -17,7 +17,7 @@ from inertial.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
-_HARMONICS = 8
+_HARMONICS, _FADED = 8, 1e-4
 _DRAWS = 16  # records simulated
 LOOKED_AT = 1 << 16  # readings are enough to show a lattice
 _OFF_LATTICE = 0.02  # rms distance from the lattice, in steps; readings on none have 0.29
@@ -113,6 +113,26 @@ def power_scatter(advance: Array, sigma: float, bounds: npt.NDArray[np.int64]) -
     return np.asarray(0.5 * counts * np.var(powers, axis=0, ddof=1) / mean**2)
 
 
+def error_covariance(lags: Array, advance: Array, variance: float) -> Array:
+    """Return the covariance of the rounding errors of readings some samples apart, in units of step².
+
+    Parameters
+    ----------
+    lags : (m,) how many samples apart
+    advance : (b,) mean motion of the integral [steps per sample], over which the covariance is averaged
+    variance : of its random motion [steps² per sample]
+    """
+    total = np.where(lags == 0.0, 1.0 / 12.0, 0.0)
+    apart = lags != 0.0
+    for h in range(1, _HARMONICS + 1):
+        fade = np.exp(-2.0 * np.pi**2 * h**2 * variance * lags[apart])
+        if fade.max(initial=0.0) < _FADED:
+            break
+        turned = np.cos(2.0 * np.pi * h * np.outer(lags[apart], advance)).mean(axis=1)
+        total[apart] += turned * fade / (2.0 * np.pi**2 * h**2)
+    return total
+
+
 @compiled
 def error_spectrum(omega: Array, advance: Array, variance: float) -> Array:
     """Return the spectrum of the rounding error, variance per coefficient in units of step².
@@ -128,7 +148,7 @@ def error_spectrum(omega: Array, advance: Array, variance: float) -> Array:
     for h in range(1, _HARMONICS + 1):
         size = 1.0 / (2.0 * np.pi**2 * h**2)
         fade = np.exp(-2.0 * np.pi**2 * h**2 * variance)
-        if fade < 1e-4:
+        if fade < _FADED:
             break
         for stretch in range(advance.size):
             turn = 2.0 * np.pi * h * advance[stretch]

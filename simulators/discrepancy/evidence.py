@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS, ChannelNoise
-from inertial.rounding import power_scatter
+from inertial.rounding import error_covariance, power_scatter
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Column, Kind, Library, Slot
+from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -39,6 +40,7 @@ _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be k
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _ABOUT = 1.3  # times a correlation time, that it may be off
 _GYROS = range(3, 6)
+_MOMENTS = 512  # at which the motion is looked at
 _FAST = 0.25  # of all frequencies, above which what is not noise has little power
 _NOTHING = 1e-3  # σ of one channel's noise below which what there is of it is not there
 
@@ -198,10 +200,9 @@ class Evidence:
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""
         scene = self.library.scenes[slot[0]]
-        stated = getattr(scene.model.noise, CHANNELS[slot[1]]).quantisation
-        torn = self._torn[slot] * (noise.quantisation / stated) ** 2 if stated else 0.0
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
-        return np.asarray(self.basis[slot].stated(noise, lsb, scene.motion(slot[1])) + torn)
+        basis, moved = self.basis[slot], scene.motion(slot[1])
+        return np.asarray(basis.stated(noise, lsb, moved) + _torn(scene, slot[1], noise, moved, basis))
 
     def jolted(self, slot: Slot, more: float) -> Array | None:
         """Return the stated power (bins,) with so much more white noise [y/√Hz]; none where rounding is lost in it."""
@@ -225,7 +226,8 @@ class Evidence:
         residual = self.library.residual[slot]
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
         gaps = Gaps.of(scene.data.missing[:, slot[1]])
-        self.came[slot] = gaps.seen(basis.frequency_hz * scene.seen.interval_s)
+        each_sample = basis.frequency_hz * scene.seen.interval_s
+        basis, self.came[slot] = basis.with_gaps(gaps.filled(each_sample)), gaps.seen(each_sample)
         self.eased[slot] = float(np.mean(gaps.came) * np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
@@ -243,7 +245,7 @@ class Evidence:
             if stated is not None:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
-        self._torn[slot] = _torn(gaps, noise.quantisation, basis)
+        self._torn[slot] = _torn(scene, slot[1], noise, moved, basis)
         if stated is not None:
             stated = stated + self._torn[slot]
         self.stated[slot] = stated
@@ -463,15 +465,27 @@ def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:
     return bool(np.sum(np.abs(fit.rss[slot] - start.rss[slot]) / fit.noise[slot].power) > _MOVED)
 
 
-def _torn(gaps: Gaps, step: float, basis: Basis) -> float:
+def _torn(scene: Scene, channel: int, noise: ChannelNoise, moved: Array, basis: Basis) -> float:
     """Return the power of rounding errors that nothing takes back: those of the readings beside gaps.
 
     A reading's error is taken back by the next. Before a gap that one is missing, behind it the one before, and what
-    the gap is filled with repeats some of those beside it.
+    the gap is filled with repeats some of those beside it: four errors, which are alike or opposite by the mean motion
+    ``moved`` (n,) [y].
     """
-    repeats = gaps.repeats()
-    variance = float(np.sum(2.0 * ((1.0 + repeats) ** 2 + repeats**2))) * step**2 / 12.0
-    return variance / basis.n / basis.interval_s**2
+    gaps, step, interval_s = Gaps.of(scene.data.missing[:, channel]), noise.quantisation, scene.seen.interval_s
+    repeats, lengths = gaps.repeats(), gaps.lengths()
+    if not step or not lengths.size:
+        return 0.0
+    apart = np.arange(4)[:, None] - np.arange(4)
+    steps_each = moved[:: max(1, moved.size // _MOMENTS)] * interval_s / step
+    total = 0.0
+    for length in np.unique(lengths):
+        lags = length * np.arange(4.0)
+        covariance = error_covariance(lags, steps_each, noise.white**2 * interval_s / step**2)[np.abs(apart)]
+        r = repeats[lengths == length]
+        sums = np.column_stack([-r, 1.0 + r, -1.0 - r, r])
+        total += float(np.einsum("gi,ij,gj", sums, covariance, sums))
+    return total * step**2 / basis.n / basis.interval_s**2
 
 
 def _known(products: Products, covariance: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import closed_form
@@ -11,12 +12,14 @@ from scipy.fft import dct
 from scipy.stats import chi2, f
 
 from drivers.recording import Recording, RecordingMeta
+from inertial.documents import BlockModel
 from simulators.discrepancy.candidates import Library
 from simulators.discrepancy.compare import Scene, compare
 from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.unsteady import level_spread
 
 SEEDS = 15
+EARTH_UP_RADPS = closed_form.EARTH_RADPS * math.sin(math.radians(closed_form.LATITUDE_DEG))
 LINES_HZ = {"slow": np.linspace(0.06, 0.75, 12), "fast": np.linspace(1.1, 9.3, 12)}
 
 
@@ -58,6 +61,15 @@ def after_turns(seed: int) -> Scene:
     return compare(stated, closed_form.model())
 
 
+def slow_power(scene: Scene, channel: int) -> tuple[float, int]:
+    """Return the power of a channel over that stated, summed below 1 Hz, and of how many coefficients."""
+    evidence, slot = Evidence(Library([scene], only=(), plain=True)), (0, channel)
+    stated, fit, basis = evidence.stated[slot], evidence.fit([]), evidence.basis[slot]
+    assert stated is not None
+    band = (basis.frequency_hz > 0.02) & (basis.frequency_hz < 1.0)
+    return float(np.sum(fit.rss[slot][band] / stated[band])), int(basis.counts[band].sum())
+
+
 def with_lost(seed: int, kind: str, *, free: bool) -> Scene:
     """Return a block at rest with about half the samples of accel_z missing."""
     whole = compare(closed_form.recording(None, 200 + seed, moving=False), closed_form.model(free=free))
@@ -87,6 +99,51 @@ def test_lines_that_are_not_there_gain_as_much_where_half_the_noise_is_missing(
             total += 2.0 * (evidence.fit(line.columns, bare).value - bare.value)
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], 2 * SEEDS * LINES_HZ[lines].size)
     assert low < total < high
+
+
+@pytest.mark.parametrize("steps_each", [0.31, 0.5])
+def test_rounding_errors_beside_gaps_are_as_large_as_those_of_a_simulated_readout(steps_each: float) -> None:
+    """Below 1 Hz the power over the noise is χ², whether successive errors are nearly alike or opposite."""
+    step = EARTH_UP_RADPS / closed_form.RATE_HZ / steps_each
+    ideal = closed_form.model().noise
+    noise = ideal.model_copy(update={"gyro_z": ideal.gyro_z.model_copy(update={"quantisation": step})})
+    total, count = 0.0, 0
+    for seed in range(SEEDS):
+        random = np.random.default_rng(seed)
+        case = closed_form.recording(None, 400 + seed, moving=False)
+        samples = case.samples.copy()
+        integral = np.cumsum(samples["dtheta"][:, 2]) + step * random.random()
+        samples["dtheta"][:, 2] = np.diff(np.rint(integral / step), prepend=0.0) * step
+        came = random.random(len(samples)) > 0.03
+        came[[0, -1]] = True
+        found, of = slow_power(compare(replace(case, samples=samples[came]), BlockModel(noise=noise)), 5)
+        total, count = total + found, count + of
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], count)
+    assert low < total < high
+
+
+@pytest.mark.parametrize(("share", "long"), [(0.1, 1), (0.1, 5), (0.3, 1)])
+def test_noise_of_which_many_samples_are_missing_is_neither_larger_nor_less(share: float, long: int) -> None:
+    """At all frequencies the power over the noise is χ², less what values that repeat others have to say."""
+    power: dict[str, list[float]] = {"slow": [], "fast": []}
+    for seed in range(SEEDS):
+        scene = compare(closed_form.recording(None, 500 + seed, moving=False), closed_form.model())
+        missing = np.zeros(scene.data.missing.shape, dtype=np.bool_)
+        first = np.random.default_rng(seed).choice(
+            len(missing) - long, round(share * len(missing) / long), replace=False
+        )
+        missing[(first[:, None] + np.arange(long)).ravel()] = True
+        scene = replace(scene, data=replace(scene.data, missing=missing))
+        evidence = Evidence(Library([scene], only=(), plain=True))
+        fit = evidence.fit([])
+        for slot, stated in evidence.stated.items():
+            assert stated is not None
+            hertz, counts = evidence.basis[slot].frequency_hz, evidence.basis[slot].counts
+            for name, band in (("slow", (hertz > 0.02) & (hertz < 1.0)), ("fast", hertz > 4.0)):
+                power[name].append(float(np.sum(fit.rss[slot][band] / stated[band]) / counts[band].sum()))
+    for ratios in power.values():
+        off = (np.mean(ratios) - 1.0) / (np.std(ratios, ddof=1) / math.sqrt(len(ratios)))
+        assert abs(off) < 3.3
 
 
 def test_noise_put_back_under_a_vibration_is_none_of_what_attitudes_differ_by() -> None:
