@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from inertial.compiled import compiled
 from inertial.documents import ChannelNoise
@@ -31,7 +32,7 @@ _MOMENTS = 512  # at which the motion is looked at
 _POINTS = 4  # at which the spectrum of rounding errors is taken within a bin
 FREE_SHARE = 0.5
 """Of noise of which a model knows the size about: so much is there at least."""
-_WEIGHED = 200  # rounds
+_AS_SAID = 0.7  # weight, at the start, of rounding as the stated noise jolts it
 ROUNDED_AT = (0.25, 0.5, 1.0, 2.0)
 """Shares of the white noise that may jolt a readout in steps."""
 _LOST = 0.05  # of the white noise's power, or of a line's height over its surroundings
@@ -152,12 +153,18 @@ class Basis:
         columns = self.power[:, self.fast - len(ROUNDED_AT) : self.fast]
         columns = columns * noise.quantisation**2 / (12.0 * self.interval_s**2)
         others = np.maximum(stated - columns[:, ROUNDED_AT.index(1.0)], 0.0)
-        weights = np.full(len(ROUNDED_AT), 1.0 / len(ROUNDED_AT))
-        for _ in range(_WEIGHED if rss.any() else 0):
+        if not rss.any():
+            return np.asarray(others + columns.mean(axis=1))
+
+        def downhill(weights: Array) -> tuple[float, Array]:
             power = others + columns @ weights
-            weights *= (columns.T @ (rss / power**2)) / (columns.T @ (self.counts / power))
-            weights /= weights.sum()
-        return np.asarray(others + columns @ weights)
+            slope = 0.5 * columns.T @ (self.counts / power - rss / power**2)
+            return -_value(rss, self.counts, power), slope
+
+        start = np.where(np.array(ROUNDED_AT) == 1.0, _AS_SAID, (1.0 - _AS_SAID) / (len(ROUNDED_AT) - 1))
+        whole = LinearConstraint(np.ones(start.size), 1.0, 1.0)
+        found = minimize(downhill, start, jac=True, method="SLSQP", bounds=Bounds(0.0, 1.0), constraints=[whole])
+        return np.asarray(others + columns @ found.x)
 
     def _rounding(self, noise: ChannelNoise, moved: Array) -> Array:
         """Return the power of the rounding error (b,) over that of white rounding errors, step²/12."""

@@ -67,3 +67,13 @@ def test_a_wild_sample_where_another_sensor_turns_is_taken_out() -> None:
     samples["dtheta"][place, across] -= 40.0 * SIGMA
     (found,) = find_outliers(compare(replace(case, samples=samples), model()))[1]
     assert (found.channel, round(found.time_s * RATE_HZ)) == (f"gyro_{'xyz'[across]}", place + 1)
+
+
+def test_two_glitches_a_moment_apart_are_no_two_steps() -> None:
+    case = recording(None, 105)
+    samples = case.samples.copy()
+    samples["dtheta"][[2200, 2202], 1] += 13.0 * SIGMA
+    report = discrepancy([replace(case, samples=samples)], model())
+    assert report.findings == [], report.document["text"]
+    assert [one["effect"] for one in report.document["rejected"]] == ["bias_step", "bias_step"]
+    assert "3 samples" in report.document["rejected"][0]["reason"]

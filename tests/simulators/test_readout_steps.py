@@ -20,7 +20,7 @@ from simulators.discrepancy.evidence import Evidence
 from simulators.discrepancy.nonstationarity import find_unsteady
 from simulators.discrepancy.report import discrepancy
 from simulators.discrepancy.unsteady import level_spread
-from simulators.discrepancy.whitening import cosine_basis
+from simulators.discrepancy.whitening import ROUNDED_AT, cosine_basis, whittle
 
 STEP_RAD = 5.0 * WHITE["gyro"] / np.sqrt(RATE_HZ)
 RECORDS, COUNT, INTERVAL_S = 24, 16384, 0.01
@@ -333,6 +333,24 @@ def test_rounding_of_a_channel_that_says_nothing_is_as_stated(white: float) -> N
     stated = basis.stated(noise, 1e-12, steady)
     for rss in (np.zeros_like(stated), stated * basis.counts):
         assert np.all(np.isfinite(basis.likeliest(stated, noise, rss)))
+
+
+@pytest.mark.parametrize("rate_steps", [0.0023, 0.07, 0.31])
+@pytest.mark.parametrize("jolt", ROUNDED_AT)
+def test_no_mean_of_roundings_is_likelier_than_the_likeliest(jolt: float, rate_steps: float) -> None:
+    """The power of a record scatters as χ² about that at one share of the white noise; what was found beats it."""
+    noise = ChannelNoise(white=0.15 * np.sqrt(INTERVAL_S), quantisation=INTERVAL_S)
+    moved = np.full(COUNT, rate_steps)
+    plain = cosine_basis(COUNT, INTERVAL_S)
+    basis, stated = plain.rounded(noise, moved), plain.stated(noise, 0.0, moved)
+    only_white = plain.stated(noise.model_copy(update={"quantisation": 0.0}), 0.0)
+    roundings = [plain.stated(noise.model_copy(update={"white": s * noise.white}), 0.0, moved) for s in ROUNDED_AT]
+    less = [s**2 * only_white for s in ROUNDED_AT]
+    powers = [only_white + one - own for one, own in zip(roundings, less, strict=True)]
+    true = powers[ROUNDED_AT.index(jolt)]
+    rss = true * np.random.default_rng(int(100 * jolt)).chisquare(basis.counts)
+    found = whittle(rss, basis.counts, basis.likeliest(stated, noise, rss))
+    assert found > max(whittle(rss, basis.counts, power) for power in powers) - 0.01
 
 
 @pytest.mark.parametrize("steps", [4.0, 8.0, 20.0])
