@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS, ChannelNoise
-from inertial.rounding import error_covariance, power_scatter
+from inertial.rounding import error_covariance, error_spectrum, power_scatter
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Column, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.filled_noise import filled_beyond, filled_white
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -40,7 +41,7 @@ _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be k
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _ABOUT = 1.3  # times a correlation time, that it may be off
 _GYROS = range(3, 6)
-_MOMENTS = 512  # at which the motion is looked at
+_MOMENTS = 128  # at which the motion is looked at
 _FAST = 0.25  # of all frequencies, above which what is not noise has little power
 _NOTHING = 1e-3  # σ of one channel's noise below which what there is of it is not there
 
@@ -102,7 +103,6 @@ class Evidence:
         """Whether the mount may sway: see :meth:`stand`."""
         self._tilted: set[int] = set()  # recordings in which gyros said how the mount sways
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
-        self._torn: dict[Slot, float] = {}
         self._scatter: dict[Slot, float] = {}
         self._done: deque[tuple[Fit, dict[tuple[str, Slot], object]]] = deque(maxlen=_OF_LATE)
         self.inner: dict[Slot, InnerProducts] = {}
@@ -169,7 +169,7 @@ class Evidence:
         """
         changed = False
         for slot, (noise, stated) in self._rounded.items():
-            before, after = self.power(slot), self.basis[slot].likeliest(stated, noise, rss[slot]) + self._torn[slot]
+            before, after = self.power(slot), self.basis[slot].likeliest(stated, noise, rss[slot])
             changed |= bool(np.max(np.abs(after / before - 1.0)) > _RESPREAD)
             self.stated[slot] = after
         return changed
@@ -227,7 +227,7 @@ class Evidence:
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
         gaps = Gaps.of(scene.data.missing[:, slot[1]])
         each_sample = basis.frequency_hz * scene.seen.interval_s
-        basis, self.came[slot] = basis.with_gaps(gaps.filled(each_sample)), gaps.seen(each_sample)
+        basis, self.came[slot] = basis.with_gaps(filled_white(gaps, each_sample)), gaps.seen(each_sample)
         self.eased[slot] = float(np.mean(gaps.came) * np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
@@ -239,15 +239,12 @@ class Evidence:
         about = basis.stated(noise, lsb, moved) if says else None
         self.resolved[slot] = basis.stated(noise.__class__(), lsb) + (0.0 if about is None else _NOTHING**2 * about)
         self.floor[slot] = self.resolved[slot] + at_least
-        stated = about if declared else None
+        stated = about + _torn(scene, slot[1], noise, moved, basis) if about is not None and declared else None
         if math.isfinite(scene.freely_rounded_hz(slot[1])):
             basis = basis.rounded(noise, moved)
             if stated is not None:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
-        self._torn[slot] = _torn(scene, slot[1], noise, moved, basis)
-        if stated is not None:
-            stated = stated + self._torn[slot]
         self.stated[slot] = stated
         self._about[slot] = about if stated is None else stated
         if says and not declared:
@@ -465,27 +462,29 @@ def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:
     return bool(np.sum(np.abs(fit.rss[slot] - start.rss[slot]) / fit.noise[slot].power) > _MOVED)
 
 
-def _torn(scene: Scene, channel: int, noise: ChannelNoise, moved: Array, basis: Basis) -> float:
-    """Return the power of rounding errors that nothing takes back: those of the readings beside gaps.
+def _torn(scene: Scene, channel: int, noise: ChannelNoise, moved: Array, basis: Basis) -> Array:
+    """Return the power (bins,) that filled gaps add to the rounding errors of a readout, or take from it, below zero.
 
-    A reading's error is taken back by the next. Before a gap that one is missing, behind it the one before, and what
-    the gap is filled with repeats some of those beside it: four errors, which are alike or opposite by the mean motion
-    ``moved`` (n,) [y].
+    ``moved``: the mean motion (n,) [y], by which errors before and behind a gap are alike or opposite.
     """
-    gaps, step, interval_s = Gaps.of(scene.data.missing[:, channel]), noise.quantisation, scene.seen.interval_s
-    repeats, lengths = gaps.repeats(), gaps.lengths()
-    if not step or not lengths.size:
-        return 0.0
-    apart = np.arange(4)[:, None] - np.arange(4)
-    steps_each = moved[:: max(1, moved.size // _MOMENTS)] * interval_s / step
-    total = 0.0
-    for length in np.unique(lengths):
-        lags = length * np.arange(4.0)
-        covariance = error_covariance(lags, steps_each, noise.white**2 * interval_s / step**2)[np.abs(apart)]
-        r = repeats[lengths == length]
-        sums = np.column_stack([-r, 1.0 + r, -1.0 - r, r])
-        total += float(np.einsum("gi,ij,gj", sums, covariance, sums))
-    return total * step**2 / basis.n / basis.interval_s**2
+    gaps, interval_s, step = Gaps.of(scene.data.missing[:, channel]), scene.seen.interval_s, noise.quantisation
+    if not step or not gaps.missing.size:
+        return np.zeros(len(basis.counts))
+    advance, variance = (
+        moved[:: max(1, moved.size // _MOMENTS)] * interval_s / step,
+        noise.white**2 * interval_s / step**2,
+    )
+    each_sample = basis.frequency_hz * interval_s
+
+    def errors(apart: Array) -> Array:
+        return error_covariance(np.abs(apart), advance, variance)
+
+    def covariance(apart: Array) -> Array:
+        return 2.0 * errors(apart) - errors(apart - 1.0) - errors(apart + 1.0)
+
+    omega = 2.0 * np.pi * each_sample
+    power = 4.0 * np.sin(0.5 * omega) ** 2 * error_spectrum(omega, advance, variance)
+    return filled_beyond(gaps, each_sample, power, covariance) * (step / interval_s) ** 2 / scene.group
 
 
 def _known(products: Products, covariance: Array) -> Array:

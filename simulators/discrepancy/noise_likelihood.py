@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from simulators.discrepancy.candidates import Slot
 from simulators.discrepancy.evidence import Evidence, Fit
-from simulators.discrepancy.whitening import climb, whittle
+from simulators.discrepancy.fisher_scoring import climb
+from simulators.discrepancy.whitening import whittle
 
 Array = NDArray[np.float64]
 
 _START = 0.1  # of the most that the residual holds of a term, where the climb begins
-_ROUNDS = 300
 
 
 def log_likelihood(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array]) -> float:
@@ -27,14 +27,14 @@ def most_likely(
 ) -> Array:
     """Return the variances (k,) of columns (b, k) on top of a power (b,) that are most likely, the means left out.
 
-    ``start`` (k,): where to begin; what is 0 stays so.
+    ``start`` (k,): where to begin.
     """
     slots = list(power)
     rows = np.ascontiguousarray(np.vstack([columns[slot][1:] for slot in slots]))
     rss, floor = (np.concatenate([by_slot[slot][1:] for slot in slots]) for by_slot in (fit.rss, power))
     counts = np.concatenate([evidence.basis[slot].counts[1:] for slot in slots])
     variances = np.array(start, dtype=np.float64)
-    climb(rows, rss, counts, floor, variances, _ROUNDS, 0)
+    climb(rows, rss, counts, floor, variances, 0)
     return variances
 
 

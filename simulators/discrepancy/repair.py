@@ -103,11 +103,6 @@ class Gaps:
         along = (places - first[gap] + 1) / (end - first + 1)[gap]
         return cls(places, gap, along, spans, ~missing)
 
-    def repeats(self) -> Array:
-        """Return how often the sum over each gap's filling (gaps,) counts that of the values on one side of it."""
-        begin, first, _, _ = self.spans.T
-        return np.asarray(0.5 * self.lengths() / np.maximum(first - begin, 1))
-
     def lengths(self) -> NDArray[np.int64]:
         """Return how many values are missing in each gap (gaps,)."""
         return np.asarray(self.spans[:, 2] - self.spans[:, 1])
@@ -121,45 +116,6 @@ class Gaps:
         length, number = np.unique(self.lengths(), return_counts=True)
         hidden = 1.0 - np.sinc(2.0 * np.outer(frequency, length)) ** 2
         return np.asarray(1.0 - hidden @ (length * number) / len(self.came))
-
-    def filled(self, frequency: Array) -> Array:
-        """Return the power at frequencies [1/sample] of white noise with gaps that are filled, over that of whole.
-
-        What stands for missing values counts those beside it once more: slow noise is larger, and fast noise less.
-        """
-        if not self.missing.size:
-            return np.ones(len(frequency))
-        beside, gap, side, weight = self._beside()
-        values, which = np.unique(beside, return_inverse=True)
-        known = np.zeros((2, len(self.spans)), dtype=np.bool_)
-        known[side, gap] = True
-        others, power = float(self.came.sum()) - values.size, np.empty(len(frequency))
-        for k, omega in enumerate(2.0 * np.pi * frequency):
-            turned = np.exp(1j * omega * self.missing)
-            whole, late = (self._over_gaps(of) for of in (turned, self.along * turned))
-            left, right = np.where(known[1], whole - late, whole), np.where(known[0], late, whole)
-            stands = weight * np.stack([left, right])[side, gap]
-            counts = np.exp(1j * omega * values)
-            counts += np.bincount(which, stands.real) + 1j * np.bincount(which, stands.imag)
-            power[k] = (others + float(np.sum(np.abs(counts) ** 2))) / len(self.came)
-        return power
-
-    def _over_gaps(self, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Return the sum over each gap (gaps,) of values at the missing places (m,)."""
-        return np.add.reduceat(values, np.flatnonzero(np.diff(self.gap, prepend=-1)))
-
-    def _beside(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]:
-        """Return the places of the values that a mean beside a gap counts, their gap, side, and share of the mean."""
-        found = []
-        for side in (0, 1):
-            begin, end = self.spans[:, 2 * side], self.spans[:, 2 * side + 1]
-            gap = np.repeat(np.arange(len(begin)), end - begin)
-            place = np.arange(len(gap)) + (begin - np.cumsum(end - begin) + (end - begin))[gap]
-            place, gap = place[self.came[place]], gap[self.came[place]]
-            share = 1.0 / np.bincount(gap, minlength=len(begin))[gap]
-            found.append((place, gap, np.full(len(gap), side), share))
-        place, gap, sides, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return place, gap, sides, share
 
     def fill(self, values: Array) -> Array:
         """Return values (n,) with the missing ones filled: a linear operation."""

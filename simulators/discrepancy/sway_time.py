@@ -11,14 +11,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.whitening import SWAYS_S, Basis, climb, whittle
+from simulators.discrepancy.fisher_scoring import climb
+from simulators.discrepancy.whitening import SWAYS_S, Basis, whittle
 
 Array = NDArray[np.float64]
 
 _TIMES = 40  # tried
 _SHORTER = 8.0  # than a record, or it is drift
 _CERTAIN = 50.0  # nats that a sway must explain of the gyros' noise
-_ROUNDS = 100
 
 
 def times_to_try(bases: Iterable[Basis], count: int) -> list[float]:
@@ -46,5 +46,5 @@ def _likelihood(basis: Basis, rss: Array, least: Array, at_s: float | None) -> f
     if at_s is not None:
         columns = np.column_stack([columns, basis.sway(at_s, tilted=False)])
     variances = float(rss.sum() / basis.counts.sum()) / np.maximum(columns.max(axis=0), 1e-300)
-    climb(np.ascontiguousarray(columns), rss, basis.counts, least, variances, _ROUNDS, 1)
+    climb(np.ascontiguousarray(columns), rss, basis.counts, least, variances, 1)
     return whittle(rss, basis.counts, least + columns @ variances)

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from inertial.compiled import compiled
 from inertial.documents import ChannelNoise
 from inertial.rounding import error_spectrum
+from simulators.discrepancy.fisher_scoring import climb
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,9 @@ class Basis:
         """
         columns = self.power[:, self.fast - len(ROUNDED_AT) : self.fast]
         columns = columns * noise.quantisation**2 / (12.0 * self.interval_s**2)
-        others = np.maximum(stated - columns[:, ROUNDED_AT.index(1.0)], 0.0)
+        as_said = columns[:, ROUNDED_AT.index(1.0)]
+        columns = columns * np.minimum(stated / np.maximum(as_said, 1e-300), 1.0)[:, None]
+        others = stated - np.minimum(as_said, stated)
         if not rss.any():
             return np.asarray(others + columns.mean(axis=1))
 
@@ -300,7 +302,7 @@ def fit_noise(
         variances[1:] *= 0.1
         in_shape = basis.least_slow if shape is not None and level in SHAPED else None
         under = floor if in_shape is None else np.maximum(floor - in_shape, 0.0)
-        climb(columns, rss, freedom, under, variances, 150, max(lowest, 0 if blocks else 1))
+        climb(columns, rss, freedom, under, variances, max(lowest, 0 if blocks else 1))
         power = under + columns @ variances
         if in_shape is not None:
             power += basis.slow_missing(float(variances[0]))
@@ -333,32 +335,3 @@ def whittle(rss: Array, counts: Array, power: Array) -> float:
 
 def _value(rss: Array, freedom: Array, power: Array) -> float:
     return float(-0.5 * np.sum(freedom * np.log(power) + rss / power))
-
-
-@compiled
-def climb(basis: Array, rss: Array, freedom: Array, floor: Array, variances: Array, rounds: int, first: int) -> None:
-    """Raise Whittle's likelihood by multiplicative steps that keep every variance positive (Itakura–Saito NMF).
-
-    ``variances`` (k,) of the columns (b, k) of ``basis`` are changed in place; bins before ``first`` do not count.
-    """
-    bins, terms = basis.shape
-    for _ in range(rounds):
-        up = np.zeros(terms)
-        down = np.zeros(terms)
-        for b in range(first, bins):
-            power = floor[b]
-            for j in range(terms):
-                power += basis[b, j] * variances[j]
-            want = rss[b] / (power * power)
-            have = freedom[b] / power
-            for j in range(terms):
-                up[j] += basis[b, j] * want
-                down[j] += basis[b, j] * have
-        largest = 0.0
-        for j in range(terms):
-            if variances[j] > 0.0 and down[j] > 0.0:
-                ratio = up[j] / down[j]
-                variances[j] *= ratio
-                largest = max(largest, abs(ratio - 1.0))
-        if largest < 1e-4:
-            break
