@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _LONG = 48  # values missing in a row, beyond which each more is but one less
+_MOST_WHITE = 0.999  # of noise, and next to nothing is left where next to nothing came
 _MOST = 0.9  # of noise that gaps may take away, as far as gaps that are close to each other are like single ones
 
 
@@ -37,7 +38,7 @@ def filled_white(gaps: Gaps, frequency: Array) -> Array:
         counts = np.exp(1j * omega * values)
         counts += np.bincount(which, stands.real) + 1j * np.bincount(which, stands.imag)
         power[k] = (others + float(np.sum(np.abs(counts) ** 2))) / len(gaps.came)
-    return power
+    return np.maximum(power, 1.0 - _MOST_WHITE)
 
 
 def filled_beyond(gaps: Gaps, frequency: Array, power: Array, covariance: Callable[[Array], Array]) -> Array:

@@ -260,9 +260,9 @@ class NoiseFit:
     penalty: float
 
 
-PENALTY = (0.0, 3.0, 7.0, 12.0, 14.0, 14.0)
+PENALTY = (0.0, 3.0, 8.0, 12.0, 14.0, 14.0)
 """What each level costs [nats] where the model states its noise."""
-PENALTY_SHAPED = (0.0, 3.0, 7.0, 11.0, 13.0, 13.0)
+PENALTY_SHAPED = (0.0, 3.0, 8.0, 11.0, 13.0, 13.0)
 """... where it states the proportions of its terms."""
 PENALTY_FREE = (math.inf, 0.0, 3.0, 3.0, math.inf, 6.0)
 
