@@ -164,16 +164,11 @@ class Searcher:
             named = sorted([*sharp, *named[len(near) :]], key=lambda s: -s.score)
             best = max((best, named[0]), key=lambda s: s.score)
         certain = -math.inf if best is None else self._certain(best, named)
-        if (
-            curve is not None
-            and curve.score > margin + (_LIKE_IT * certain if certain > margin else 0.0)
-            and beyond_noise(self.evidence, curve, current)[0] > margin
-        ):
-            pair = self._pair(named[:4], adopted, curve)
-            if pair is not None:
-                return pair
-            return curve
-        return best if certain > margin else None
+        shown = curve is not None and curve.score > margin and beyond_noise(self.evidence, curve, current)[0] > margin
+        least = MARGIN if shown else margin  # that something is there the curve has shown
+        if curve is not None and shown and curve.score > least + (_LIKE_IT * certain if certain > least else 0.0):
+            return self._pair(named[:4], adopted, curve) or curve
+        return best if certain > least else None
 
     def _is_noise(self, one: Scored, current: Fit) -> bool:
         """Whether a name is the worse explanation than larger noise, by much unless that is certain of itself.
