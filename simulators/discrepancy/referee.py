@@ -19,7 +19,8 @@ from simulators.discrepancy.compare import AWAY_V, Scene
 
 Array = NDArray[np.float64]
 
-_MEMORY_S = (1.5, 6.0, 25.0)
+_MEMORY_S = (0.15, 0.5, 1.5, 6.0, 25.0)  # from a filter's to that of what creeps
+_FEWEST_KEPT = 2.0  # samples that a memory lasts
 _PLAYS = (0.1, 0.2, 0.3, 0.45)  # shares of half the input's range
 _LASTING, _WAVES = (0.05, 0.12, 0.25), (1.0, 2.0, 3.0, 4.0, 6.0)
 _TURNED = 0.1  # of an input's largest size, that it must have in the other direction too
@@ -77,7 +78,7 @@ def _single_columns(scene: Scene, channel: int) -> Iterator[tuple[str, Array]]:
         yield "sign of input", np.tanh(50.0 * unit)
         yield "root of input", np.sign(unit) * np.sqrt(np.abs(unit))
         yield "bend of input at a tenth", np.tanh(10.0 * unit)
-        for span in _MEMORY_S:
+        for span in (span for span in _MEMORY_S if span > _FEWEST_KEPT * seen.interval_s):
             decay = float(np.exp(-seen.interval_s / span))
             past, _ = lfilter([1.0 - decay], [1.0, -decay], unit, zi=np.array([decay * unit[0]]))
             yield f"memory of input, {span:g} s", past - unit

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from closed_form import GRAVITY_MPS2, RATE_HZ, WHITE, Truth, model, recording
+from scipy.signal import lfilter
 
 from simulators.discrepancy.report import Report, discrepancy
 
@@ -45,3 +47,17 @@ def test_a_bias_by_the_square_of_how_fast_it_warms_is_neither_steps_nor_a_transi
     samples["temperature"][:, 0] = temperature_c + 0.002 * np.random.default_rng(52).standard_normal(4800)
     report = discrepancy([replace(case, samples=samples)], model())
     assert is_unknown_by(report, "gyro_z", "temperature slope^2"), report.document["text"]
+
+
+@pytest.mark.parametrize("share", [0.005, 1.0])
+@pytest.mark.parametrize("lasting_s", [0.15, 0.5])
+def test_a_gyro_that_is_filtered_is_no_delay_of_all_and_no_lever_arm(lasting_s: float, share: float) -> None:
+    """Of one sensor's input a share, or all, comes through a low-pass that the others do not have."""
+
+    def change(true: Truth, readings: np.ndarray) -> None:
+        kept, rate = np.exp(-1.0 / RATE_HZ / lasting_s), true["gyro"][:, 1]
+        filtered = lfilter([1.0 - kept], [1.0, -kept], rate, zi=[kept * rate[0]])[0]
+        readings[:, 4] += share * (filtered - rate)
+
+    report = discrepancy([recording(change, 53)], model())
+    assert is_unknown_by(report, "gyro_y", f"memory of input, {lasting_s:g} s"), report.document["text"]
