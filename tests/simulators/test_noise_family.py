@@ -7,12 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.fft import dct
+from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from inertial.documents import ChannelNoise
-from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, Basis, cosine_basis, fit_noise
+from simulators.discrepancy.fisher_scoring import climb
+from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, WIDE, Basis, cosine_basis, fit_noise
 
 COUNT, INTERVAL_S, RECORDS = 4096, 0.01, 60
 
@@ -55,6 +59,31 @@ def test_of_slow_noise_there_is_the_least_share_even_where_white_noise_is_far_le
     quieter = 0.01 * (true - slow) + slow
     found = fit_noise(basis, basis.counts * quieter, basis.counts, None, under, slow=False)
     assert np.all(found.power > 0.9 * FREE_SHARE**2 * slow)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_no_variances_are_likelier_than_those_that_are_found(seed: int) -> None:
+    """Neither those of the noise that was drawn, nor those that a general optimiser finds from the same start."""
+    random = np.random.default_rng(seed)
+    basis = cosine_basis(COUNT, INTERVAL_S)
+    columns, counts = np.ascontiguousarray(basis.power[1:, basis.terms(WIDE)]), basis.counts[1:]
+    columns = columns / np.median(columns, axis=0)
+    there = random.random(columns.shape[1]) < 0.3
+    true = np.where(there, 10.0 ** random.uniform(-2.0, 2.0, columns.shape[1]), 0.0)
+    floor = np.full(len(counts), 10.0 ** random.uniform(-3.0, 0.0))
+    rss = (floor + columns @ true) * random.chisquare(counts)
+
+    def falls(variances: np.ndarray) -> float:
+        power = floor + columns @ variances
+        return 0.5 * float(np.sum(counts * np.log(power) + rss / power))
+
+    start = np.full(columns.shape[1], 0.1)
+    found = start.copy()
+    climb(columns, rss, counts, floor, found, 0)
+    peer = minimize(falls, start, method="L-BFGS-B", bounds=[(0.0, None)] * len(start))
+    assert np.all(found >= 0.0)
+    assert falls(found) < min(falls(true), peer.fun) + 0.01
 
 
 def _of_proportions(stated_times: float) -> tuple[Basis, np.ndarray, np.ndarray]:
