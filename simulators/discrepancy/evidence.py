@@ -20,7 +20,7 @@ from inertial.rounding import error_covariance, error_spectrum, power_scatter
 from simulators.discrepancy.atoms import Steps
 from simulators.discrepancy.candidates import Column, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene
-from simulators.discrepancy.filled_noise import filled_beyond, filled_white
+from simulators.discrepancy.filled_noise import Filling, filled_white
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
@@ -103,6 +103,7 @@ class Evidence:
         """Whether the mount may sway: see :meth:`stand`."""
         self._tilted: set[int] = set()  # recordings in which gyros said how the mount sways
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
+        self._filling: dict[Slot, Filling] = {}
         self._scatter: dict[Slot, float] = {}
         self._done: deque[tuple[Fit, dict[tuple[str, Slot], object]]] = deque(maxlen=_OF_LATE)
         self.inner: dict[Slot, InnerProducts] = {}
@@ -198,11 +199,13 @@ class Evidence:
         return True
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
-        """Return the power (bins,) of other noise than stated, with its rounding as it jolts that."""
-        scene = self.library.scenes[slot[0]]
-        lsb = last_place(slot[1]) / math.sqrt(scene.group)
-        basis, moved = self.basis[slot], scene.motion(slot[1])
-        return np.asarray(basis.stated(noise, lsb, moved) + _torn(scene, slot[1], noise, moved, basis))
+        """Return the power (bins,) of noise of any size, with its rounding as it jolts that, and with filled gaps."""
+        scene, basis = self.library.scenes[slot[0]], self.basis[slot]
+        moved = scene.motion(slot[1])
+        power = basis.stated(noise, last_place(slot[1]) / math.sqrt(scene.group), moved)
+        if slot in self._filling and noise.quantisation:
+            power = power + _torn(scene, self._filling[slot], noise, moved, basis)
+        return np.asarray(power)
 
     def jolted(self, slot: Slot, more: float) -> Array | None:
         """Return the stated power (bins,) with so much more white noise [y/√Hz]; none where rounding is lost in it."""
@@ -227,7 +230,10 @@ class Evidence:
         basis = cosine_basis(len(residual), scene.interval_s, tilted=slot[1] < 3)
         gaps = Gaps.of(scene.data.missing[:, slot[1]])
         each_sample = basis.frequency_hz * scene.seen.interval_s
+        if gaps.missing.size:
+            self._filling[slot] = Filling.of(gaps, each_sample)
         basis, self.came[slot] = basis.with_gaps(filled_white(gaps, each_sample)), gaps.seen(each_sample)
+        self.basis[slot] = basis
         self.eased[slot] = float(np.mean(gaps.came) * np.mean(self.library.spread[slot] ** -2.0))
         noise = getattr(scene.model.noise, CHANNELS[slot[1]])
         lsb = last_place(slot[1]) / math.sqrt(scene.group)
@@ -235,13 +241,12 @@ class Evidence:
         declared = says and not scene.model.noise.free
         slow = noise.model_copy(update={"white": 0.0, "quantisation": 0.0})
         at_least = (FREE_SHARE**2 if scene.model.noise.free else 1.0) * basis.stated(slow, 0.0)
-        moved = scene.motion(slot[1])
-        about = basis.stated(noise, lsb, moved) if says else None
+        about = self.read_with(slot, noise) if says else None
         self.resolved[slot] = basis.stated(noise.__class__(), lsb) + (0.0 if about is None else _NOTHING**2 * about)
         self.floor[slot] = self.resolved[slot] + at_least
-        stated = about + _torn(scene, slot[1], noise, moved, basis) if about is not None and declared else None
+        stated = about if declared else None
         if math.isfinite(scene.freely_rounded_hz(slot[1])):
-            basis = basis.rounded(noise, moved)
+            basis = basis.rounded(noise, scene.motion(slot[1]))
             if stated is not None:
                 self._rounded[slot] = noise, stated
                 stated = basis.likeliest(stated, noise, np.add.reduceat(residual**2, basis.bounds[:-1]))
@@ -462,19 +467,14 @@ def _moved(start: Fit, fit: Fit, slot: Slot) -> bool:
     return bool(np.sum(np.abs(fit.rss[slot] - start.rss[slot]) / fit.noise[slot].power) > _MOVED)
 
 
-def _torn(scene: Scene, channel: int, noise: ChannelNoise, moved: Array, basis: Basis) -> Array:
+def _torn(scene: Scene, filling: Filling, noise: ChannelNoise, moved: Array, basis: Basis) -> Array:
     """Return the power (bins,) that filled gaps add to the rounding errors of a readout, or take from it, below zero.
 
     ``moved``: the mean motion (n,) [y], by which errors before and behind a gap are alike or opposite.
     """
-    gaps, interval_s, step = Gaps.of(scene.data.missing[:, channel]), scene.seen.interval_s, noise.quantisation
-    if not step or not gaps.missing.size:
-        return np.zeros(len(basis.counts))
-    advance, variance = (
-        moved[:: max(1, moved.size // _MOMENTS)] * interval_s / step,
-        noise.white**2 * interval_s / step**2,
-    )
-    each_sample = basis.frequency_hz * interval_s
+    step, interval_s = noise.quantisation, scene.seen.interval_s
+    advance = moved[:: max(1, moved.size // _MOMENTS)] * interval_s / step
+    variance = noise.white**2 * interval_s / step**2
 
     def errors(apart: Array) -> Array:
         return error_covariance(np.abs(apart), advance, variance)
@@ -482,9 +482,9 @@ def _torn(scene: Scene, channel: int, noise: ChannelNoise, moved: Array, basis: 
     def covariance(apart: Array) -> Array:
         return 2.0 * errors(apart) - errors(apart - 1.0) - errors(apart + 1.0)
 
-    omega = 2.0 * np.pi * each_sample
+    omega = 2.0 * np.pi * basis.frequency_hz * interval_s
     power = 4.0 * np.sin(0.5 * omega) ** 2 * error_spectrum(omega, advance, variance)
-    return filled_beyond(gaps, each_sample, power, covariance) * (step / interval_s) ** 2 / scene.group
+    return filling.beyond(power, covariance) * (step / interval_s) ** 2 / scene.group
 
 
 def _known(products: Products, covariance: Array) -> Array:

@@ -7,9 +7,11 @@ next: beside a gap it cannot.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import fft, ifft
 
 from simulators.discrepancy.repair import Gaps
 
@@ -41,26 +43,39 @@ def filled_white(gaps: Gaps, frequency: Array) -> Array:
     return np.maximum(power, 1.0 - _MOST_WHITE)
 
 
-def filled_beyond(gaps: Gaps, frequency: Array, power: Array, covariance: Callable[[Array], Array]) -> Array:
-    """Return the power (b,) that filled gaps add to noise of any colour, where it is less: below zero.
+@dataclass(frozen=True)
+class Filling:
+    """What filled gaps make of noise of any colour: of b coefficients, by the covariance of values samples apart.
 
-    Parameters
-    ----------
-    gaps : apart from each other, as far as this goes
-    frequency : (b,) [1/sample]
-    power : (b,) of the noise where nothing is missing
-    covariance : of the noise, of values so many samples (m,) apart
+    ``pairs`` (b, m): how often values 0, 1 … samples apart count together, in and about the gaps; ``lost`` (b,): values
+    that the coefficients lack; ``values`` of the record. Gaps are taken to be apart from each other.
     """
-    added = np.zeros(len(frequency))
-    for length, number in zip(*np.unique(gaps.lengths(), return_counts=True), strict=True):
-        short = min(int(length), _LONG)
-        change = _change(short, frequency)
-        places = np.arange(3 * short)
-        alike = covariance(places.astype(np.float64))[np.abs(places[:, None] - places)]
-        own = np.einsum("bi,ij,bj->b", change.conj(), alike, change, optimize=True).real
-        with_rest = np.sum(change * np.exp(-2j * np.pi * np.outer(frequency, places)), axis=1).real
-        added += number * (own + 2.0 * with_rest * power - (length - short) * power)
-    return np.maximum(added / len(gaps.came), -_MOST * power)
+
+    pairs: Array
+    lost: Array
+    values: int
+
+    @classmethod
+    def of(cls, gaps: Gaps, frequency: Array) -> Filling:
+        """Look at gaps, for coefficients of frequencies (b,) [1/sample]."""
+        pairs, lost = np.zeros((len(frequency), 3 * _LONG)), np.zeros(len(frequency))
+        for length, number in zip(*np.unique(gaps.lengths(), return_counts=True), strict=True):
+            short = min(int(length), _LONG)
+            change = _change(short, frequency)
+            together = ifft(np.abs(fft(change, 6 * short, axis=1)) ** 2, axis=1).real[:, : 3 * short]
+            together[:, 1:] *= 2.0
+            pairs[:, : 3 * short] += number * together
+            kept = np.sum(change * np.exp(-2j * np.pi * np.outer(frequency, np.arange(3 * short))), axis=1).real
+            lost += number * (int(length) - short - 2.0 * kept)
+        return cls(pairs, lost, len(gaps.came))
+
+    def beyond(self, power: Array, covariance: Callable[[Array], Array]) -> Array:
+        """Return the power (b,) that is there beyond that of whole noise (b,), or below zero what is lacking.
+
+        ``covariance`` of the noise, of values so many samples (m,) apart.
+        """
+        own = self.pairs @ covariance(np.arange(float(self.pairs.shape[1])))
+        return np.maximum((own - self.lost * power) / self.values, -_MOST * power)
 
 
 def _change(length: int, frequency: Array) -> Complex:
