@@ -27,7 +27,8 @@ _NEAR, _FAR_SIGMAS = 2.0, 6.0  # widths and σ within which an input has to do w
 _ALIKE = 0.05  # σ within which inputs are taken for one
 _WIDTHS, _WIDEST = 31, 3.0  # tried, and by what factor they may be off what the means say
 _NOISES, _NOISIEST = 13, 4.0  # ... the noise off what is stated, or what a record in coarse steps shows
-_TAILS, _TAIL = (0.0, 0.01, 0.05, 0.2), 3.0  # shares of samples that are so many times as noisy
+_TAILS = ((0.0, 1.0), (0.01, 3.0), (0.05, 3.0), (0.2, 3.0), (0.01, 6.0), (0.05, 6.0))
+"""Shares of samples that are so many times as noisy as the others."""
 _PASSES = 4
 _SURE = 12.0  # nats below the best beyond which nothing counts
 _FINEST = 1e-3  # of the noise: a readout of no steps is finer than anything
@@ -74,7 +75,7 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> HalfWidth
         weight, likely = np.exp(value - value.max()), value > value.max() - _SURE
         finest = widths
         likeliest, _, tails = np.unravel_index(int(np.argmax(value)), value.shape)
-        noise = SampleNoise(float(noises[likeliest]), _TAILS[int(tails)], _TAIL)
+        noise = SampleNoise(float(noises[likeliest]), *_TAILS[int(tails)])
         noises, widths = (_closer(tried, likely.any(axis=(2, k))) for tried, k in ((noises, 1), (widths, 0)))
     share = weight.sum(axis=(0, 2)) / weight.sum()
     mean = float(share @ finest)
@@ -101,9 +102,10 @@ def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Arr
 
 
 def _by_tails(inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float) -> Array:
-    """Return the log-likelihood [nats] for every share of samples that are noisier than the others."""
-    core, tail = (_likelihood(inputs, readings, step, times * sigma, width) for times in (1.0, _TAIL))
-    return np.array([counts @ np.log(np.maximum((1.0 - share) * core + share * tail, 1e-12)) for share in _TAILS])
+    """Return the log-likelihood [nats] for all tails that are tried: shares of samples that are noisier than others."""
+    noisier = {times: _likelihood(inputs, readings, step, times * sigma, width) for _, times in _TAILS}
+    mixed = [(1.0 - share) * noisier[1.0] + share * noisier[times] for share, times in _TAILS]
+    return np.array([counts @ np.log(np.maximum(one, 1e-12)) for one in mixed])
 
 
 def _likelihood(inputs: Array, readings: Array, step: float, sigma: float, width: float) -> Array:
