@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import combinations
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
@@ -20,7 +19,7 @@ from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.noise_instead import beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
-from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, exchanges, joint, of_two, pairs
+from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, exchangeable, exchanges, joint, of_two, pairs
 from simulators.discrepancy.whitening import STATED
 
 _LISTED = 8
@@ -48,8 +47,9 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
             entry.pairs = _pairs(ranking, own, rest, without)
             beyond, noise = beyond_noise(search.evidence, own, without)
             entry.instead = (noise, beyond) if noise is not None and noise.names and beyond < TIE else None
-    for first, second in combinations([one for one in asked if one.hypothesis.kind is Kind.NAMED], 2):
-        _exchanged(ranking, search, first, second)
+    entries = {id(one.hypothesis): one for one in asked}
+    for first, second in exchangeable(ranking, [one.hypothesis for one in asked]):
+        _exchanged(ranking, search, entries[id(first)], entries[id(second)])
 
 
 def _likelier(ranked: Sequence[Scored], again: Sequence[Scored]) -> list[Scored]:

@@ -21,6 +21,7 @@ SLACK_OF_TWO = 3.0
 """Nats that refining may still add to what two names promise, of which at least one mostly has no shape to refine."""
 _PAIRS, _LOOKED_AT = 4, 400
 _ORDERS = 2.0  # in which two names can be named
+_WAVES_OF_A_LINE = 3.0  # in a record, or a drift and another name may be like it
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def in_place_of_two(
     gravity, which leaves the third to be off by as much.
     """
     better, best = TIE, None
-    for first, second in combinations([h for h in adopted if h.kind is Kind.NAMED], 2):
+    for first, second in exchangeable(ranking, adopted):
         rest = [h for h in adopted if h is not first and h is not second]
         without = ranking.fit_of(rest, current)
         own = of_two(ranking, (first, second), current.value - without.value)
@@ -99,6 +100,14 @@ def in_place_of_two(
             if score > own + better:
                 better, best = score - own, (both, fit)
     return best
+
+
+def exchangeable(ranking: Ranking, adopted: Sequence[Hypothesis]) -> list[tuple[Hypothesis, Hypothesis]]:
+    """Return every two names in whose place two others might do better: not lines of many waves, which none is like."""
+    longest_s = max(float(np.ptp(scene.time_s)) for scene in ranking.library.scenes)
+    line = [h.effect == "sinusoid" and h.shape["frequency"] * longest_s > _WAVES_OF_A_LINE for h in adopted]
+    named = [h for h, is_line in zip(adopted, line, strict=True) if h.kind is Kind.NAMED and not is_line]
+    return list(combinations(named, 2))
 
 
 def exchanges(
