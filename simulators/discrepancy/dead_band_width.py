@@ -21,13 +21,14 @@ from simulators.discrepancy.compare import SampleNoise, Scene
 from simulators.normal import density
 
 Array = NDArray[np.float64]
+Tails = tuple[tuple[float, float], ...]
 
 _FEWEST = 5  # silent samples that say anything
 _NEAR, _FAR_SIGMAS = 2.0, 6.0  # widths and σ within which an input has to do with the band
 _ALIKE = 0.05  # σ within which inputs are taken for one
 _WIDTHS, _WIDEST = 31, 3.0  # tried, and by what factor they may be off what the means say
 _NOISES, _NOISIEST = 13, 4.0  # ... the noise off what is stated, or what a record in coarse steps shows
-_TAILS = ((0.0, 1.0), (0.01, 3.0), (0.05, 3.0), (0.2, 3.0), (0.01, 6.0), (0.05, 6.0))
+_TAILS: Tails = ((0.0, 1.0), (0.01, 3.0), (0.05, 3.0), (0.2, 3.0), (0.01, 6.0), (0.05, 6.0))
 """Shares of samples that are so many times as noisy as the others."""
 _PASSES = 4
 _SURE = 12.0  # nats below the best beyond which nothing counts
@@ -70,12 +71,14 @@ def half_width(scenes: Sequence[Scene], channel: str, about: float) -> HalfWidth
     step = max(getattr(scenes[0].model.noise, channel).quantisation / scenes[0].seen.interval_s, _FINEST * sigma)
     widths = np.geomspace(about / _WIDEST, about * _WIDEST, _WIDTHS)
     noises = np.geomspace(min(found, stated or found) / _NOISIEST, sigma * _NOISIEST, _NOISES)
+    tails = _TAILS
     for _ in range(_PASSES):
-        value = np.array([[_by_tails(inputs, readings, counts, step, n, w) for w in widths] for n in noises])
+        value = np.array([[_by_tails(inputs, readings, counts, step, n, w, tails) for w in widths] for n in noises])
         weight, likely = np.exp(value - value.max()), value > value.max() - _SURE
         finest = widths
-        likeliest, _, tails = np.unravel_index(int(np.argmax(value)), value.shape)
-        noise = SampleNoise(float(noises[likeliest]), *_TAILS[int(tails)])
+        likeliest, _, tail = np.unravel_index(int(np.argmax(value)), value.shape)
+        noise = SampleNoise(float(noises[likeliest]), *tails[int(tail)])
+        tails = tuple(one for one, kept in zip(tails, likely.any(axis=(0, 1)), strict=True) if kept)
         noises, widths = (_closer(tried, likely.any(axis=(2, k))) for tried, k in ((noises, 1), (widths, 0)))
     share = weight.sum(axis=(0, 2)) / weight.sum()
     mean = float(share @ finest)
@@ -101,10 +104,13 @@ def _counted(scene: Scene, column: int, about: float, sigma: float) -> tuple[Arr
     return unique[:, 0] * _ALIKE * sigma, unique[:, 1], counts.astype(np.float64)
 
 
-def _by_tails(inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float) -> Array:
-    """Return the log-likelihood [nats] for all tails that are tried: shares of samples that are noisier than others."""
-    noisier = {times: _likelihood(inputs, readings, step, times * sigma, width) for _, times in _TAILS}
-    mixed = [(1.0 - share) * noisier[1.0] + share * noisier[times] for share, times in _TAILS]
+def _by_tails(
+    inputs: Array, readings: Array, counts: Array, step: float, sigma: float, width: float, tails: Tails
+) -> Array:
+    """Return the log-likelihood [nats] for each of some tails: shares of samples that are noisier than others."""
+    times_tried = {1.0} | {times for _, times in tails}
+    noisier = {times: _likelihood(inputs, readings, step, times * sigma, width) for times in times_tried}
+    mixed = [(1.0 - share) * noisier[1.0] + share * noisier[times] for share, times in tails]
     return np.array([counts @ np.log(np.maximum(one, 1e-12)) for one in mixed])
 
 
