@@ -48,7 +48,8 @@ class Filling:
     """What filled gaps make of noise of any colour: of b coefficients, by the covariance of values samples apart.
 
     ``pairs`` (b, m): how often values 0, 1 … samples apart count together, in and about the gaps; ``lost`` (b,): values
-    that the coefficients lack; ``values`` of the record. Gaps are taken to be apart from each other.
+    that the coefficients lack; ``values`` of the record. Gaps are taken to be apart from each other: those that are not
+    are counted in white noise alone, whose values are not alike (:func:`filled_white`).
     """
 
     pairs: Array

@@ -1,9 +1,9 @@
 """The variances of noise terms that are most likely, by Fisher scoring in which none becomes negative.
 
-Each round takes the step to the top of a parabola that has the slope of Whittle's likelihood and the information in
-the terms, where variances may not go below zero; half of it, or less, where that would lead down. Steps that keep
-variances positive by multiplying them, of which hundreds leave terms that are nearly alike nats below the top, were
-tried first.
+Each round takes the step to the top of a parabola that has the slope of Whittle's likelihood (Arkiv för Matematik 2,
+1953) and the information in the terms, where variances may not go below zero; half of it, or less, where that would
+lead down. M. R. Osborne, Fisher's method of scoring, International Statistical Review 60 (1992). Terms of noise are
+nearly alike: steps that only multiply each variance are nats below the top after hundreds of rounds.
 """
 
 from __future__ import annotations

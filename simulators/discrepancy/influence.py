@@ -17,16 +17,16 @@ from simulators.discrepancy.evidence import Evidence, Fit
 Array = NDArray[np.float64]
 
 _RIDGE = 1e-9
-_OF_A_STEP = 3
+_TOO_FEW, _TOO_FEW_OF_A_STEP = 1, 3  # samples
 
 
-def on_which_it_may_rest(hypothesis: Hypothesis) -> int:
-    """Return how few samples a name must not rest on: a step, which another may undo a moment later, not on three."""
-    return _OF_A_STEP if hypothesis.effect == "bias_step" else 1
+def too_few_samples(hypothesis: Hypothesis) -> int:
+    """Return how many samples are too few for a name to rest on: more of a step, which another may soon undo."""
+    return _TOO_FEW_OF_A_STEP if hypothesis.effect == "bias_step" else _TOO_FEW
 
 
-def gains_but(evidence: Evidence, hypothesis: Hypothesis, fit: Fit, fewest: int) -> tuple[float, float]:
-    """Return what a hypothesis of a fit gains [nats] in its noise, from all samples and from all but the strongest.
+def gains_but(evidence: Evidence, hypothesis: Hypothesis, fit: Fit, strongest_count: int) -> tuple[float, float]:
+    """Return what a hypothesis of a fit gains [nats] in its noise, from all samples, and without the strongest.
 
     With what all else in the fit can explain of the columns taken out of them (Frisch and Waugh 1933), each sample's
     part in the gain can be seen and left out (Cook 1977): one by one, where the noise makes them depend on each other.
@@ -41,7 +41,7 @@ def gains_but(evidence: Evidence, hypothesis: Hypothesis, fit: Fit, fewest: int)
     )
     measured, score, size, gain = left + column, whole, whole, 0.5 * whole
     roots: list[Array] = []  # of the inverse covariance, of the samples left out so far (pivoted Cholesky)
-    for _ in range(fewest):
+    for _ in range(strongest_count):
         share = np.divide(column, own, out=np.zeros_like(column), where=own > _RIDGE * own.max())
         scores, others = score - share * measured, size - share * column
         but = np.divide(scores**2, 2.0 * others, out=np.zeros_like(scores), where=others > _RIDGE * whole)

@@ -245,7 +245,7 @@ def _stirred(
             rate = share**2 * size[slot] / basis.n
             whiter = evidence.jolted(slot, math.sqrt(rate * basis.interval_s))
             if whiter is not None:
-                stirred[slot] = whiter - rate * basis.white
+                stirred[slot] = whiter - rate * basis.white_filled
         found = most_likely(evidence, fit, stirred, columns, variances)
         if log_likelihood(evidence, fit, _summed(stirred, columns, found)) > log_likelihood(
             evidence, fit, _summed(best, columns, variances)

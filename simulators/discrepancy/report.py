@@ -22,7 +22,7 @@ from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, followi
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
-from simulators.discrepancy.influence import gains_but, on_which_it_may_rest
+from simulators.discrepancy.influence import gains_but, too_few_samples
 from simulators.discrepancy.lateness import as_late
 from simulators.discrepancy.margins import MARGIN, TIE
 from simulators.discrepancy.mount_sway import angle_rad
@@ -276,7 +276,7 @@ def _refused(h: Hypothesis, search: Search, held: HeldOut) -> str | None:
     gained = held.gained(h.columns)
     if gained <= 0.0:
         return f"does not predict held-out data better (by {gained:.1f} in χ²)"
-    few = on_which_it_may_rest(h)
+    few = too_few_samples(h)
     whole, others = gains_but(search.evidence, h, search.fit, few)
     if others < min(0.5 * whole, MARGIN + len(h.columns)):
         which = "a single sample (without it" if few == 1 else f"{few} samples (without them"

@@ -62,7 +62,7 @@ class Basis:
     fast: int = 2
     shape: Array | None = None
     least_slow: Array | None = None
-    white: Array | float = 1.0
+    white_filled: Array | float = 1.0
 
     @property
     def frequency_hz(self) -> Array:
@@ -82,7 +82,7 @@ class Basis:
 
     def with_gaps(self, filled: Array) -> Basis:
         """Return the basis of values with filled gaps, which make ``filled`` (b,) of white noise's power."""
-        return replace(self, power=np.column_stack([self.power[:, 0] * filled, self.power[:, 1:]]), white=filled)
+        return replace(self, power=np.column_stack([self.power[:, 0] * filled, self.power[:, 1:]]), white_filled=filled)
 
     def tilted_at(self, times_s: Sequence[float]) -> Basis:
         """Return an accelerometer's basis beside a mount that sways with such correlation times and no others."""
@@ -123,7 +123,7 @@ class Basis:
         rounding = 1.0 if moved is None or not noise.quantisation else self._rounding(noise, moved)
         flicker = noise.flicker**2 / (2.0 * math.pi * self._frequency() * tau)
         return np.asarray(
-            self.white * noise.white**2 / tau
+            self.white_filled * noise.white**2 / tau
             + (rounding * noise.quantisation**2 + floor**2) / 12.0 * 4.0 * (np.sin(x) ** 2 + 1.0 / self.n) / tau**2
             + flicker
             + noise.random_walk**2 * tau * (1.0 - 2.0 / 3.0 * np.sin(x) ** 2) / (4.0 * np.sin(x) ** 2)
