@@ -49,6 +49,8 @@ class Adopted:
     """Two names each that tie with it, best first."""
     instead: tuple[NoiseInstead, float] | None = None
     """Larger noise on its sensor that ties with it, and how far behind it is [nats]."""
+    noise_nats: float = 0.0
+    """Evidence of noise that it makes, in which what could stand in its place would have to be larger by itself."""
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ class Library:
         self.nuisance: list[tuple[int, float]] = []
         """Columns that are always in the fit, with their prior σ."""
         self.met: dict[str, SampleNoise] = {}
-        """Noise that readout effects meet, of channels whose single samples have shown it."""
+        """Noise that a dead band would meet, of channels of which single samples show it; a limit meets what is known."""
         self.schedules: dict[int, Schedule] = {}
         """Those of them that say how late turns were, by recording."""
         for index in range(len(scenes)):
@@ -449,7 +449,8 @@ class Library:
         raw: list[list[tuple[Slot, Array]]] = [[] for _ in range(count)]
         for s, scene in enumerate(self.scenes):
             if isinstance(effect, SampleEffect):
-                columns = mean_changed(scene, effect, channel, shape, self.met.get(channel))[:, None]
+                noise = self.met.get(channel) if effect.name == "dead_band" else None
+                columns = mean_changed(scene, effect, channel, shape, noise)[:, None]
             elif isinstance(effect, (LinearEffect, SizeEffect, ThermalLag)):
                 columns = effect.regressors(scene.seen, channel, shape)
             for k in range(count):

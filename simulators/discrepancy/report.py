@@ -19,6 +19,7 @@ from simulators.discrepancy.adopt import Adopted, Search, Searcher
 from simulators.discrepancy.candidates import REWIRED, Hypothesis, Kind, Library, Slot
 from simulators.discrepancy.clipping import find_clipped, without_limit
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
+from simulators.discrepancy.edge_noise import told_by_noise
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
@@ -149,7 +150,7 @@ def _searched(scenes: list[Scene], tell: Progress, *, beside: bool) -> Search:
     library = Library(as_late(scenes))
     tell(0.25, "gathering")
     evidence = Evidence(library)
-    return Searcher(evidence, tell, beside=beside).run()
+    return told_by_noise(Searcher(evidence, tell, beside=beside).run())
 
 
 def _limits(search: Search) -> list[ReadOff]:

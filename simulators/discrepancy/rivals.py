@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
@@ -38,6 +39,7 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
         without = ranking.fit_of(rest, search.fit)
         own = ranking.score(h, without, rest)
         assert own is not None  # or it had not been adopted
+        own = replace(own, score=own.score + entry.noise_nats)
         ranked = [s for s in ranking.rank_against(own, without, rest) if s.hypothesis.name != h.name]
         if h.kind is Kind.NAMED and shaped_beside(ranking, h, rest):
             ranked = _likelier(ranked, _retuned(ranking, own, rest, without))

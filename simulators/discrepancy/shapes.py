@@ -24,6 +24,8 @@ _LOOSER = 1.3  # times a shape, beside which it may be of any between
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
 _SETTLED = 0.02  # share of its size by which the amplitude of a chord may be off
+_CLOSER = 0.55  # width of the next look over that of the last
+_ROUGHLY, _FAR_OFF = frozenset({"half_width", "limit", "time"}), 100.0  # shapes that may be so many widths off at first
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
 
 
@@ -118,12 +120,14 @@ class Shapes:
         middle = hypothesis.shape[name]
         relative = name in ("time_constant", "half_width", "limit")
         width = self._width(name)
+        finest, widest = width * _CLOSER ** _ZOOMS[name], width * (_FAR_OFF if name in _ROUGHLY else 1.0)
         best, value = hypothesis, look.gain(hypothesis)
         places = hypothesis.places
         if name in USUAL and is_usual(hypothesis.shape):
             value += math.log(FITTED_PLACES / places)
             places = FITTED_PLACES
-        for _ in range(_ZOOMS[name]):
+        while width > finest:
+            before = best
             sides = [middle * math.exp(x) if relative else middle + x for x in (-width, width)]
             sides = [at for at in sides if name != "time_constant" or at <= self.library.longest_s]
             made = [self.library.trial(hypothesis.effect, hypothesis.channel, {name: at}, places) for at in sides]
@@ -134,7 +138,10 @@ class Shapes:
                 else:
                     self.library.forget(trial)
             middle = best.shape[name]
-            width *= 0.55
+            if best is not before and width < widest:
+                width *= 2.0
+            else:
+                widest, width = 0.0, width * _CLOSER
         return best
 
     def _width(self, name: str) -> float:
