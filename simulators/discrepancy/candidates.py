@@ -166,7 +166,7 @@ class Library:
         self.nuisance: list[tuple[int, float]] = []
         """Columns that are always in the fit, with their prior σ."""
         self.met: dict[str, SampleNoise] = {}
-        """Noise that a dead band would meet, of channels of which single samples show it; a limit meets what is known."""
+        """Noise that a dead band would meet, of channels of which single samples show it."""
         self.schedules: dict[int, Schedule] = {}
         """Those of them that say how late turns were, by recording."""
         for index in range(len(scenes)):
