@@ -20,6 +20,7 @@ from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
 from simulators.discrepancy.compare import SampleNoise
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.look import Look
+from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.noise_likelihood import log_likelihood
 from simulators.discrepancy.noise_names import larger_noise
 from simulators.discrepancy.ranking import Ranking, Scored
@@ -58,7 +59,7 @@ def read_sigma(inputs: Array, sigma: float, half_width: float) -> float:
 
 
 def _band_instead(search: Search, entry: Adopted) -> Adopted | None:
-    """Return a dead band in the place of a name and of larger white noise beside it; none if it explains no more."""
+    """Return a dead band in the place of a name and of larger white noise beside it; none if it explains less."""
     evidence = search.evidence
     channels = evidence.channels(entry.hypothesis.columns)
     slots = [slot for slot in evidence.slots if slot[1] in channels]
@@ -75,7 +76,7 @@ def _band_instead(search: Search, entry: Adopted) -> Adopted | None:
         return None
     explained = sum(_with_edge_noise(evidence, band, slot) for slot in slots) - (band.gain - band.score)
     both = sum(one.value for one in larger) - (entry.gain - entry.score)
-    if explained < both:
+    if explained < both - TIE:
         return None
     beyond = explained - both + entry.score - band.score
     return Adopted(band.hypothesis, band.gain + beyond, band.score + beyond, noise_nats=beyond)
