@@ -22,7 +22,7 @@ from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
-from simulators.discrepancy.two_names import Together, in_place_of_curve, in_place_of_two, together
+from simulators.discrepancy.two_names import Together, in_place_of_curve, in_place_of_one, in_place_of_two, together
 
 Progress = Callable[[float, str], None]
 
@@ -102,7 +102,10 @@ class Searcher:
             known = len(adopted)
             adopted, current = self._with_new(current, adopted)
             if len(adopted) == known:
-                break
+                split = in_place_of_one(self.ranking, adopted, current, self._margin(adopted))
+                if split is None:
+                    break
+                adopted, current = split
             adopted, current = self.ranking.polish(*self._settle(adopted, current, adopted[:known]))
             adopted, current = in_place_of_two(self.ranking, adopted, current) or (adopted, current)
             if self.evidence.restate(current.rss):

@@ -13,14 +13,23 @@ from dataclasses import replace
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
-from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
+from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.noise_instead import beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
-from simulators.discrepancy.two_names import SLACK_OF_TWO, Together, exchangeable, exchanges, joint, of_two, pairs
+from simulators.discrepancy.two_names import (
+    SLACK_OF_TWO,
+    Together,
+    exchangeable,
+    exchanges,
+    instead_of,
+    joint,
+    of_two,
+    pairs,
+)
 from simulators.discrepancy.whitening import STATED
 
 _LISTED = 8
@@ -91,15 +100,12 @@ def names_instead(search: Search, channel: str) -> list[tuple[Hypothesis, float]
 def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: Fit) -> list[Together]:
     """Return the two names each that tie with one, best first."""
     h = own.hypothesis
-    channels = ranking.channels(h)
-    if len(channels) != 1:
+    if len(ranking.channels(h)) != 1:
         return []
     look = Look(ranking.evidence, without, own.fit.noise)
-    pool = [other for other in ranking.unlike({o.name for o in rest}) if ranking.channels(other) == channels]
-    pool = [other for other in pool if other.name != h.name or (is_usual(other.shape) and not is_usual(h.shape))]
     mine = bayes_factor(look.gain(h), h.freedom, ranking.places(h))
     tied = []
-    for pair in pairs(ranking, pool, look, mine - TIE - SLACK_OF_TWO):
+    for pair in pairs(ranking, instead_of(ranking, h, rest), look, mine - TIE - SLACK_OF_TWO):
         same = h.name in (pair[0].name, pair[1].name)
         score, both, fit = joint(ranking, pair, rest, without, -math.inf if same else own.score - TIE)
         if same:

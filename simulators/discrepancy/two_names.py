@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
+from simulators.discrepancy.candidates import Hypothesis, Kind, Slot, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
@@ -81,6 +81,35 @@ def in_place_of_curve(
             if score > least and (best is None or fit.value > best[0]):
                 best = fit.value, both, fit
     return None if best is None else best[1:]
+
+
+def in_place_of_one(
+    ranking: Ranking, adopted: Sequence[Hypothesis], current: Fit, margin: float
+) -> tuple[list[Hypothesis], Fit] | None:
+    """Return what is adopted with two names in the place of one that do better by more than a margin; fit of all.
+
+    One name of a wrong shape may have taken so much of two that what is left passes for a random walk.
+    """
+    wide = {slot[1] for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
+    better, best = margin, None
+    for one in adopted:
+        if one.kind is not Kind.NAMED or len(ranking.channels(one)) > 1 or not ranking.channels(one) <= wide:
+            continue
+        rest = [h for h in adopted if h is not one]
+        without = ranking.fit_of(rest, current)
+        own = bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
+        look = Look(ranking.evidence, without, ranking.quiet(current))
+        for pair in pairs(ranking, instead_of(ranking, one, rest), look, own + better - SLACK_OF_TWO):
+            score, both, fit = joint(ranking, pair, rest, without, own + better)
+            if score > own + better:
+                better, best = score - own, (both, fit)
+    return best
+
+
+def instead_of(ranking: Ranking, one: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the names of which two may stand in the place of one: those of its sensor, and itself at usual shapes."""
+    pool = [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
+    return [h for h in pool if h.name != one.name or (is_usual(h.shape) and not is_usual(one.shape))]
 
 
 def in_place_of_two(
