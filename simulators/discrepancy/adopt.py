@@ -18,7 +18,7 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.margins import FURTHER, MARGIN, TIE
-from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise
+from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise, held_against_noise
 from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
@@ -144,7 +144,10 @@ class Searcher:
             return [*adopted, best.hypothesis], best.fit
         pair = together(self.ranking, adopted, current, self._margin(adopted))
         if pair is not None and (best is None or pair[0] > best.score - TIE):
-            return pair[1:]
+            score, both, fit = pair
+            columns = [i for h in both[len(adopted) :] for i in h.columns]
+            if not self._is_noise(score, columns, fit, current):
+                return both, fit
         if best is None:
             return self._swallowed(adopted, current)
         return in_place_of_curve(self.ranking, best, adopted, current) or ([*adopted, best.hypothesis], best.fit)
@@ -156,7 +159,11 @@ class Searcher:
     def _next(self, current: Fit, adopted: Sequence[Hypothesis]) -> Scored | None:
         margin = self._margin(adopted)
         scored = self.ranking.rank(current, adopted)
-        named = [s for s in scored if s.hypothesis.kind is Kind.NAMED and not self._is_noise(s, current)]
+        named = [
+            s
+            for s in scored
+            if s.hypothesis.kind is Kind.NAMED and not self._is_noise(s.score, s.hypothesis.columns, s.fit, current)
+        ]
         other = [s for s in scored if s.hypothesis.kind is Kind.REFERENCE]
         curves = [s for s in scored if s.hypothesis.kind is Kind.EMPIRICAL]
         best = plainest(named)
@@ -175,14 +182,14 @@ class Searcher:
             return self._pair(named[:4], adopted, curve) or curve
         return best if certain > least else None
 
-    def _is_noise(self, one: Scored, current: Fit) -> bool:
-        """Whether a name is the worse explanation than larger noise, by much unless that is certain of itself.
+    def _is_noise(self, score: float, columns: Sequence[int], fit: Fit, current: Fit) -> bool:
+        """Whether a name or two explain less than larger noise does, by much unless that is certain of itself.
 
         A walk of a coefficient or two is as good a shift or drift: where neither is certain, both are told.
         """
-        if one.score <= 0.0:
+        if score <= 0.0:
             return False
-        beyond, noise = beyond_noise(self.evidence, one, current)
+        beyond, noise = held_against_noise(self.evidence, score, columns, fit, current)
         return noise is not None and beyond < (0.0 if noise.certain else -TIE)
 
     def _certain(self, best: Scored, named: Sequence[Scored]) -> float:

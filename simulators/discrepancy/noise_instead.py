@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from inertial.documents import CHANNELS, ChannelNoise
-from simulators.discrepancy.candidates import Hypothesis
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.noise_names import larger_noise
 from simulators.discrepancy.ranking import Scored
@@ -38,18 +38,23 @@ def noise_instead(evidence: Evidence, fit: Fit, channel: int) -> NoiseInstead:
 
 
 def beyond_noise(evidence: Evidence, one: Scored, current: Fit) -> tuple[float, NoiseInstead | None]:
-    """Return the score of a hypothesis held against larger noise with a name in its place, and that noise.
+    """Return the score of a hypothesis held against larger noise with a name in its place, and that noise."""
+    return held_against_noise(evidence, one.score, one.hypothesis.columns, one.fit, current)
 
-    Beside the hypothesis there may be larger noise as well, by the same name for the same price.
+
+def held_against_noise(
+    evidence: Evidence, score: float, columns: Sequence[int], fit: Fit, current: Fit
+) -> tuple[float, NoiseInstead | None]:
+    """Return the score of columns held against larger noise with a name in their place, and that noise.
+
+    Beside them in their ``fit`` there may be larger noise as well, by the same name for the same price. There is none
+    in the place of what acts on several sensors.
     """
-    noise = instead_of(evidence, one.hypothesis, current)
-    if noise is None or noise.nats == 0.0:
-        return one.score, noise
-    beside = instead_of(evidence, one.hypothesis, one.fit)
-    return one.score - noise.nats + (0.0 if beside is None else beside.nats), noise
-
-
-def instead_of(evidence: Evidence, one: Hypothesis, fit: Fit) -> NoiseInstead | None:
-    """Return the larger noise that could stand in the place of what acts on one sensor; none of anything else."""
-    channels = evidence.channels(one.columns)
-    return noise_instead(evidence, fit, channels.pop()) if len(channels) == 1 else None
+    channels = evidence.channels(columns)
+    if len(channels) != 1:
+        return score, None
+    (channel,) = channels
+    noise = noise_instead(evidence, current, channel)
+    if noise.nats == 0.0:
+        return score, noise
+    return score - noise.nats + noise_instead(evidence, fit, channel).nats, noise

@@ -99,14 +99,14 @@ def in_place_of_one(
         without = ranking.fit_of(rest, current)
         own = bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
         look = Look(ranking.evidence, without, ranking.quiet(current))
-        for pair in pairs(ranking, instead_of(ranking, one, rest), look, own + better - SLACK_OF_TWO):
+        for pair in pairs(ranking, stand_ins(ranking, one, rest), look, own + better - SLACK_OF_TWO):
             score, both, fit = joint(ranking, pair, rest, without, own + better)
             if score > own + better:
                 better, best = score - own, (both, fit)
     return best
 
 
-def instead_of(ranking: Ranking, one: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
+def stand_ins(ranking: Ranking, one: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the names of which two may stand in the place of one: those of its sensor, and itself at usual shapes."""
     pool = [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
     return [h for h in pool if h.name != one.name or (is_usual(h.shape) and not is_usual(one.shape))]
