@@ -100,6 +100,14 @@ def test_larger_noise_that_a_name_does_as_well_as_ties_with_it(tmp_path: Path) -
     assert all(one["behind_nats"] < 3.0 for one in found["alternatives"])
 
 
+def test_larger_noise_that_two_names_together_do_as_well_as_ties_with_both(tmp_path: Path) -> None:
+    """A rate random walk of d = 15, which a drift and a thermal lag of a fast warming explain as well."""
+    case = hidden_case(90709, 41, tmp_path)
+    report = discrepancy([case.recording], case.model)
+    assert report.verdict == "tie"
+    assert all(("rate_random_walk", "gyro_y") in names_of(found) for found in report.findings)
+
+
 @pytest.mark.parametrize(("seed", "number"), [(90625, 510), (90627, 267)])
 def test_a_further_name_short_of_its_margin_ties_with_the_noise_that_is_named_in_its_place(
     seed: int, number: int, tmp_path: Path

@@ -26,6 +26,13 @@ def test_names_are_judged_with_the_shapes_of_others_refined_beside_them(number: 
     assert {(one["effect"], one["channel"]) for one in case.truth["effects"]} <= told
 
 
+def test_a_name_that_has_taken_what_two_hide_gives_way_to_both(tmp_path: Path) -> None:
+    """A supply's coefficient at a voltage that made up for a thermal lag, and a walk that was named for the rest."""
+    case = hidden_case(90709, 12, tmp_path)
+    found = {(one["effect"], one["channel"]) for one in discrepancy([case.recording], case.model).findings}
+    assert found == {(one["effect"], one["channel"]) for one in case.truth["effects"]}
+
+
 def test_a_shift_beside_a_transient_leaves_each_its_own_size() -> None:
     amplitude, time_constant_s, shift = -2.0 * GYRO_SIGMA, 40.0, 0.5 * GYRO_SIGMA
 
