@@ -45,6 +45,8 @@ EXTREME, THINNED = 200, 40
 """Of the inputs the smallest and largest are looked at for these, and one of so many of the others."""
 AWAY_C = 0.3
 """By which a steady temperature must be off the usual reference for a coefficient to show."""
+LAGS_C = 0.1
+"""By which temperature must change for a lag to show, whose course is like that of nothing else."""
 USUAL = {"reference": (20.0, 25.0), "nominal": (28.0,)}
 """Of what a coefficient is counted from: temperatures [°C] of laboratories, and the voltage [V] of supplies."""
 FITTED_PLACES = 100.0
@@ -383,11 +385,11 @@ class Library:
             case "turn_on_transient":
                 return [{"time_constant": t} for t in TRANSIENT_S if t < self.longest_s]
             case "thermal_lag":
-                return [{"time_constant": t} for t in LAG_S] if self._warms() else []
+                return [{"time_constant": t} for t in LAG_S] if self._warms(LAGS_C) else []
             case "bias_temperature" | "scale_temperature":
                 mean = float(np.mean([np.mean(s.seen.temperature_c[:, 0]) for s in self.scenes]))
                 first = float(scene.seen.temperature_c[0, 0])
-                if not self._warms():  # nor does it cool: what depends on temperature stays what it is
+                if not self._warms(AWAY_C):  # nor does it cool: what depends on temperature stays what it is
                     known = all(s.warm for s in self.scenes)
                     return [{"reference": t} for t in USUAL["reference"][:1] if known and abs(mean - t) > AWAY_C]
                 references = dict.fromkeys((mean, *USUAL["reference"], first))
@@ -414,9 +416,9 @@ class Library:
         """Longest time constant that these recordings can tell from a constant."""
         return 2.0 * max(float(scene.data.edges_s[-1] - scene.data.edges_s[0]) for scene in self.scenes)
 
-    def _warms(self) -> bool:
+    def _warms(self, by_c: float) -> bool:
         ranges = [float(np.ptp(s.seen.temperature_c[:, 0])) for s in self.scenes if s.warm]
-        return len(ranges) == len(self.scenes) and max(ranges) > 0.3
+        return len(ranges) == len(self.scenes) and max(ranges) > by_c
 
     def _felt(self, effect: SampleEffect, channel: str, name: str) -> list[dict[str, float]]:
         """Return sizes of a readout effect whose change of the readings amounts to 3, 6, 12 … σ of their noise.

@@ -49,3 +49,22 @@ def test_a_long_while_is_not_and_what_follows_is_said(field: str, what: str) -> 
 
 def test_a_block_without_a_thermometer_has_lost_nothing() -> None:
     assert discrepancy([unread("temperature", 0.0, 1e6)], model()).document["remarks"] == []
+
+
+def test_a_lag_shows_in_a_record_that_hardly_warms() -> None:
+    """By a quarter of a degree: a coefficient of such would pass for a constant, a lag's course for nothing else."""
+    time_constant_s = 30.0
+
+    def lagging(true: Truth, readings: np.ndarray) -> None:
+        warmth_s = 60.0
+        risen, lag = np.exp(-true["t"] / warmth_s), np.exp(-true["t"] / time_constant_s)
+        true["temperature"][:] = 21.0 + 0.25 * (1.0 - risen)
+        # Of a first-order lag behind an exponential, in closed form: what it has not yet followed.
+        behind = 0.25 * time_constant_s / (warmth_s - time_constant_s) * (risen - lag)
+        readings[:, 3] += 1e-4 * behind
+
+    report = discrepancy([recording(lagging, 74)], model())
+    (found,) = report.findings
+    assert (found["effect"], found["channel"], found["alternatives"]) == ("thermal_lag", "gyro_x", [])
+    constant = found["parameters"]["time_constant"]
+    assert abs(constant["value"] - time_constant_s) < 3.3 * constant["sigma"]
