@@ -191,7 +191,7 @@ def _standing(
     found = []
     for a, b, chance, jolt in zip(first[candidate], last[candidate], longest[candidate], jolts[candidate], strict=True):
         far_share = _FAR_SHARE if b - a > _LONGER * by_custom else 1.0
-        begun, over = _as_still(driven.turning, int(a), int(b))
+        begun, over = _alike(driven, int(a), int(b))
         as_is, without_ends = (
             _astray(one[begun:over], int(a) - begun, int(b) - begun, step, math.hypot(noise, jolt), far_share)
             for one in offs
@@ -216,15 +216,17 @@ def _standing(
     return found
 
 
-def _as_still(turning: NDArray[np.bool_], a: int, b: int) -> tuple[int, int]:
-    """Return from where to where a block stands still about a run; all there is, if it turns meanwhile.
+def _alike(driven: _Driven, a: int, b: int) -> tuple[int, int]:
+    """Return from where to where a block stands still, or turns, as it does in a run; all there is, if it does both.
 
-    What a turn does to readings beside a run at rest says nothing of it.
+    What a turn does to readings beside a run at rest says nothing of it, nor the rest beside a turn of one in it.
     """
-    if turning[a : b + 1].any():
-        return 0, turning.size
-    before, behind = np.flatnonzero(turning[:a]), np.flatnonzero(turning[b + 1 :])
-    return (int(before[-1]) + 1 if before.size else 0), (b + 1 + int(behind[0]) if behind.size else turning.size)
+    turns = driven.turning & ~driven.changing
+    other = ~turns if turns[a : b + 1].all() else driven.turning
+    if other[a : b + 1].any():
+        return 0, other.size
+    before, behind = np.flatnonzero(other[:a]), np.flatnonzero(other[b + 1 :])
+    return (int(before[-1]) + 1 if before.size else 0), (b + 1 + int(behind[0]) if behind.size else other.size)
 
 
 def _at_limit(

@@ -90,6 +90,8 @@ def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float
         (90625, 962, 0.370),
         # ... and a tenth of a second behind one, in a mount that sways.
         (90624, 450, 1.321),
+        # In a turn about another axis, of which as much is felt as half a step a sample, and nothing soon after it.
+        (90633, 131, 0.528),
     ],
 )
 def test_a_register_that_stood_still_is_found_though_what_goes_on_about_it_looks_like_it(
