@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.ndimage import median_filter
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
@@ -29,7 +28,10 @@ _SIGNIFICANT = 1.35
 _SIGMA = 0.9  # of ln of a mean size of second differences, times the root of their number
 _CERTAIN = 4.0  # σ by which noise must be larger
 _FEWEST = 24
-_BANDS, _AROUND = 20, 3  # of the spectrum of noise, and how many a level is the median of
+_BANDS = 20  # of the spectrum of noise
+_SCATTER = 4.3  # variance of ln of a band's level, times the number of its frequencies: tapering doubles it
+_STEP_NATS = 6.0  # that a step of the level must explain
+_LEAST = 1e-6  # of what is stated
 _FEWEST_EACH = 3  # block means for each input that may act on them
 _SEEN = 1e-6  # of the largest input's bend
 
@@ -150,5 +152,24 @@ def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array
     bands = min(_BANDS, max(1, (len(power) - first) // _FEWEST))
     edges = np.unique(np.round(np.geomspace(first, len(power), bands + 1)).astype(np.int64))
     level = np.array([ordinary_mean(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEAN_SQUARE
-    level = median_filter(level, _AROUND, mode="nearest")
-    return 0.5 * (edges[1:] + edges[:-1]) / len(power), level
+    stepped = _in_steps(np.log(np.maximum(level, _LEAST)), np.diff(edges) / _SCATTER)
+    return 0.5 * (edges[1:] + edges[:-1]) / len(power), np.exp(stepped)
+
+
+def _in_steps(level: Array, weight: Array, mean: float = 0.0) -> Array:
+    """Return levels (m,) of one over variance ``weight`` (m,) with no more steps than they show, from ``mean`` on.
+
+    A band of few frequencies tells its own level by a fifth: noise put back at that would pass for larger noise.
+    """
+    total, count = np.cumsum(weight), np.cumsum(weight * level)
+    own = float(count[-1] / total[-1])
+    if 0.5 * total[-1] * (own - mean) ** 2 < _STEP_NATS:
+        own = mean
+    if level.size == 1:
+        return np.array([own])
+    left, right = count[:-1] / total[:-1], (count[-1] - count[:-1]) / (total[-1] - total[:-1])
+    gains = 0.5 * (total[:-1] * (left - own) ** 2 + (total[-1] - total[:-1]) * (right - own) ** 2)
+    at = int(np.argmax(gains)) + 1
+    if gains[at - 1] < _STEP_NATS:
+        return np.full(level.size, own)
+    return np.concatenate([_in_steps(level[:at], weight[:at], own), _in_steps(level[at:], weight[at:], own)])
