@@ -18,11 +18,12 @@ from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.margins import FURTHER, MARGIN, TIE
-from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise, held_against_noise
+from simulators.discrepancy.noise_instead import NoiseInstead, beyond_noise, held_against_noise, noise_instead
 from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.two_names import Together, in_place_of_curve, in_place_of_one, in_place_of_two, together
+from simulators.discrepancy.whitening import STATED
 
 Progress = Callable[[float, str], None]
 
@@ -177,7 +178,8 @@ class Searcher:
             best = max((best, named[0]), key=lambda s: s.score)
         certain = -math.inf if best is None else self._certain(best, named)
         shown = curve is not None and curve.score > margin and beyond_noise(self.evidence, curve, current)[0] > margin
-        least = MARGIN if shown else margin  # that something is there the curve has shown
+        # That something is there the curve has shown, or noise that is larger without a name.
+        least = MARGIN if shown or (best is not None and self._took_its_place(best, current)) else margin
         if curve is not None and shown and curve.score > least + (_LIKE_IT * certain if certain > least else 0.0):
             return self._pair(named[:4], adopted, curve) or curve
         return best if certain > least else None
@@ -191,6 +193,18 @@ class Searcher:
             return False
         beyond, noise = held_against_noise(self.evidence, score, columns, fit, current)
         return noise is not None and beyond < (0.0 if noise.certain else -TIE)
+
+    def _took_its_place(self, one: Scored, current: Fit) -> bool:
+        """Whether noise that is larger than stated, of no name, has taken for itself what one may explain.
+
+        Such is noise that only the mean asks for, of which one coefficient is all that shows.
+        """
+        channels = self.evidence.channels(one.hypothesis.columns)
+        slots = [slot for slot in self.evidence.slots if slot[1] in channels]
+        if len(channels) != 1 or any(self.evidence.stated[slot] is None for slot in slots):
+            return False
+        larger = any(current.noise[slot].level != STATED for slot in slots)
+        return larger and not noise_instead(self.evidence, current, channels.pop()).names
 
     def _certain(self, best: Scored, named: Sequence[Scored]) -> float:
         """Return the evidence that one of the names that tie with the best is there, whichever it is.

@@ -118,6 +118,13 @@ def test_a_further_name_short_of_its_margin_ties_with_the_noise_that_is_named_in
     assert {(one["effect"], one["channel"]) for one in case.truth["effects"]} <= told
 
 
+def test_noise_that_only_a_mean_asks_for_is_no_reason_to_say_nothing(tmp_path: Path) -> None:
+    """A shift of d = 15 beside another name, ten to one against a walk that the noise had at that, unnamed."""
+    case = hidden_case(90712, 270, tmp_path)
+    findings = discrepancy([case.recording], case.model).findings
+    assert {(one["effect"], one["channel"]) for one in findings} == {("sinusoid", "accel_z"), ("bias_shift", "gyro_z")}
+
+
 def test_a_curve_that_explains_no_more_than_larger_noise_does_is_nothing_unknown(tmp_path: Path) -> None:
     case = hidden_case(90618, 15, tmp_path)
     report = discrepancy([case.recording], case.model)
