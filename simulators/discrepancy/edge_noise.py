@@ -63,19 +63,28 @@ def _band_instead(search: Search, entry: Adopted) -> Adopted | None:
     evidence = search.evidence
     channels = evidence.channels(entry.hypothesis.columns)
     slots = [slot for slot in evidence.slots if slot[1] in channels]
-    if len(channels) > 1 or any(evidence.stated[slot] is None for slot in slots):
+    if len(channels) > 1 or any(evidence.stated[slot] is None or not _stated_sigma(evidence, slot) for slot in slots):
         return None
     if all(search.fit.noise[slot].level == STATED for slot in slots):
         return None
     larger = [larger_noise(evidence, search.fit, slot) for slot in slots]
     if not any(one.certain and "random_walk" in one.names for one in larger):
         return None
-    rest = [one.hypothesis for one in search.adopted if one is not entry]
+    met = dict(evidence.library.met)
+    band = _explaining_both(search, entry, slots, sum(one.value for one in larger))
+    if band is None:
+        evidence.library.met = met
+    return band
+
+
+def _explaining_both(search: Search, entry: Adopted, slots: list[Slot], larger: float) -> Adopted | None:
+    """Return a dead band that explains no less than a name and noise beside it of a ``larger`` likelihood [nats]."""
+    evidence, rest = search.evidence, [one.hypothesis for one in search.adopted if one is not entry]
     band = _met_by_stated(evidence, slots, rest, search.fit)
     if band is None:
         return None
     explained = sum(_with_edge_noise(evidence, band, slot) for slot in slots) - (band.gain - band.score)
-    both = sum(one.value for one in larger) - (entry.gain - entry.score)
+    both = larger - (entry.gain - entry.score)
     if explained < both - TIE:
         return None
     beyond = explained - both + entry.score - band.score
