@@ -88,7 +88,8 @@ def in_place_of_one(
 ) -> tuple[list[Hypothesis], Fit] | None:
     """Return what is adopted with two names in the place of one that do better by more than a margin; fit of all.
 
-    One name of a wrong shape may have taken so much of two that what is left passes for a random walk.
+    One name of a wrong shape may have taken so much of two that what is left passes for a random walk. It may be one of
+    the two itself, at another shape.
     """
     wide = {slot[1] for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
     better, best = margin, None
@@ -99,7 +100,8 @@ def in_place_of_one(
         without = ranking.fit_of(rest, current)
         own = bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
         look = Look(ranking.evidence, without, ranking.quiet(current))
-        for pair in pairs(ranking, stand_ins(ranking, one, rest), look, own + better - SLACK_OF_TWO):
+        pool = [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
+        for pair in pairs(ranking, pool, look, own + better - SLACK_OF_TWO):
             score, both, fit = joint(ranking, pair, rest, without, own + better)
             if score > own + better:
                 better, best = score - own, (both, fit)
