@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
+from scipy.ndimage import median_filter
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene
@@ -28,7 +29,7 @@ _SIGNIFICANT = 1.35
 _SIGMA = 0.9  # of ln of a mean size of second differences, times the root of their number
 _CERTAIN = 4.0  # σ by which noise must be larger
 _FEWEST = 24
-_BANDS = 20  # of the spectrum of noise
+_BANDS, _AROUND = 20, 3  # of the spectrum of noise, and how many a level is the median of
 _SCATTER = 4.3  # variance of ln of a band's level, times the number of its frequencies: tapering doubles it
 _STEP_NATS = 6.0  # that a step of the level must explain
 _LEAST = 1e-6  # of what is stated
@@ -152,7 +153,8 @@ def _level(quiet: Array, stated: Array, interval_s: float) -> tuple[Array, Array
     bands = min(_BANDS, max(1, (len(power) - first) // _FEWEST))
     edges = np.unique(np.round(np.geomspace(first, len(power), bands + 1)).astype(np.int64))
     level = np.array([ordinary_mean(power[a:b]) for a, b in itertools.pairwise(edges)]) / MEAN_SQUARE
-    stepped = _in_steps(np.log(np.maximum(level, _LEAST)), np.diff(edges) / _SCATTER)
+    level = median_filter(np.log(np.maximum(level, _LEAST)), _AROUND, mode="nearest")  # what one band has is a line
+    stepped = _in_steps(level, np.diff(edges) / _SCATTER)
     return 0.5 * (edges[1:] + edges[:-1]) / len(power), np.exp(stepped)
 
 

@@ -51,3 +51,15 @@ def test_it_is_as_large_as_at_rest_and_as_certain_as_the_whole_band_makes_it(tim
     assert low / (blocks - 1) < power.mean() < high / (blocks - 1)
     off = np.log(power / power.mean())
     assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(chi2.ppf(0.999, RUNS - 1) / (RUNS - 1))
+
+
+@pytest.mark.parametrize("hertz", [3.7, 8.0])
+def test_a_line_at_rest_is_put_back_as_no_noise(hertz: float) -> None:
+    case = shaken(3, 1.0)
+    samples = case.samples.copy()
+    samples["dv"][:, 2] += 30.0 * WHITE / np.sqrt(RATE_HZ) * np.sin(2.0 * np.pi * hertz * samples["time"])
+    hidden = []
+    for one in (case, replace(case, samples=samples)):
+        residual, _ = level_spread(compare(one, closed_form.model()), 2)
+        hidden.append(float(np.var(residual[FIRST:LAST])))
+    assert hidden[1] < 1.1 * hidden[0]
