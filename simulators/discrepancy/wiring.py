@@ -8,6 +8,7 @@ the input has to say; so is a sensor that has the noise for it, where another of
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,6 +28,7 @@ _BLOCK_S = 2.0
 _PARTS = 8  # of a block, whose means say how large the noise is
 _LEAST = 60.0  # by how much χ² must fall
 _SHARE = 0.05  # of χ² that may be left
+_PER_MISTAKE = 2.0 * math.log(100.0)  # χ² by which two mistakes must explain more than one
 _MISFIT = 0.1  # of the signal that may be left: other effects may be there too
 _COINCIDENCE = 0.02  # how close a ratio must come to that of two units
 _SHARP = 0.01  # share of itself within which it must be known, or anything may come as close
@@ -61,7 +63,7 @@ def find_mistakes(scenes: list[Scene]) -> list[Mistake]:
 def _mistakes(triad: _Triad) -> list[Mistake]:
     """Return the mistakes of a triad."""
     found = []
-    wires = triad.in_one_unit(_exchanged_both_ways([triad.best(c) for c in range(3)]))
+    wires = triad.in_one_unit(_exchanged_both_ways(triad.in_pairs([triad.best(c) for c in range(3)])))
     explained = [triad.left(_Wire(c), c) - triad.left(wire, c) for c, wire in enumerate(wires)]
     for c, wire in enumerate(wires):
         channel = triad.names[c]
@@ -199,6 +201,19 @@ class _Triad:
             if fits and cost < least:
                 least, found = cost, wire
         return found
+
+    def in_pairs(self, wires: list[_Wire]) -> list[_Wire]:
+        """Return wires with two sensors exchanged that each for itself seem wired otherwise, where that does as well.
+
+        Of inputs that are opposite, two turned signs explain the same, and of each alone chance says which.
+        """
+        for a, b in itertools.combinations(range(3), 2):
+            if wires[a] == _Wire(a) or wires[b] == _Wire(b):
+                continue
+            apart = self.left(wires[a], a) + self.left(wires[b], b)
+            if self.left(_Wire(b), a) + self.left(_Wire(a), b) < apart + _PER_MISTAKE:
+                wires = [{a: _Wire(b), b: _Wire(a)}.get(c, wire) for c, wire in enumerate(wires)]
+        return wires
 
     def _wires(self, c: int) -> Iterator[_Wire]:
         """Yield what a sensor may read by mistake: another input, either sign, its own in a unit that it is near to."""

@@ -106,3 +106,10 @@ def test_exchanged_gyros_of_which_one_feels_next_to_nothing_are_not_turned_as_we
     case = hidden_case(90629, 480, tmp_path)
     (found,) = discrepancy([case.recording], case.model).findings
     assert (found["effect"], found["channel"]) == ("axis_swap", "gyro_x<-gyro_y")
+
+
+def test_exchanged_gyros_of_opposite_inputs_are_not_two_that_are_turned(tmp_path: Path) -> None:
+    """Of Earth's rate by a hundredth of one: to one of them it was as if turned, by chance."""
+    case = hidden_case(90635, 66, tmp_path)
+    (found,) = discrepancy([case.recording], case.model).findings
+    assert (found["effect"], found["channel"]) == ("axis_swap", "gyro_x<-gyro_z")
