@@ -147,7 +147,8 @@ class Searcher:
         if pair is not None and (best is None or pair[0] > best.score - TIE):
             score, both, fit = pair
             columns = [i for h in both[len(adopted) :] for i in h.columns]
-            if not self._is_noise(score, columns, fit, current):
+            # What one name does not do better than noise, the second must do by the margin of a further one.
+            if not self._is_noise(score - FURTHER, columns, fit, current):
                 return both, fit
         if best is None:
             return self._swallowed(adopted, current)

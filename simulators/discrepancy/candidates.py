@@ -19,6 +19,7 @@ from scipy.fft import dct
 from drivers.recording_meta import TurnMeta
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import AWAY_V, SampleNoise, Scene, mean_changed, parameter_change
+from simulators.discrepancy.hidden_course import hidden_courses
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
 from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, is_whole, turn_errors
@@ -227,8 +228,11 @@ class Library:
         return Column(parts) if parts else None
 
     def _coefficients(self, scene: int, channel: int, values: Array) -> Array:
-        """Return a column's coefficients; channels whose samples are all equally good share it."""
-        values = self.scenes[scene].unshaken(values, channel)
+        """Return a column's coefficients, of no more than is compared."""
+        return self._weighted(scene, channel, self.scenes[scene].unshaken(values, channel))
+
+    def _weighted(self, scene: int, channel: int, values: Array) -> Array:
+        """Return the coefficients of rates (n,); channels whose samples are all equally good share them."""
         plain = bool(np.all(self.spread[scene, channel] == 1.0)) and not self._gappy[scene, channel]
         key = (scene, -1 if plain else channel, hash(values.tobytes()))
         if key not in self._known:
@@ -539,6 +543,9 @@ class Library:
                 self.nuisance.append((self._keep(one.angle), sigma * degree))
         for change, spread in lost_vibration(scene):
             self._always(index, change, spread)
+        for channel, course, spread in hidden_courses(scene):
+            column = Column({(index, channel): self._weighted(index, channel, course)})
+            self.nuisance.append((self._keep(column), spread))
 
     def _always(self, index: int, change: Array, sigma: float) -> int | None:
         column = self.add_column(_of(index, change))
