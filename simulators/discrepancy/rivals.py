@@ -17,7 +17,7 @@ from simulators.discrepancy.candidates import Hypothesis, Kind
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
-from simulators.discrepancy.noise_instead import beyond_noise, held_against_noise
+from simulators.discrepancy.noise_instead import beyond_noise
 from simulators.discrepancy.ranking import Ranking, Scored
 from simulators.discrepancy.retuning import next_to, retuned, shaped_beside
 from simulators.discrepancy.two_names import (
@@ -61,7 +61,6 @@ def find_rivals(search: Search, asked: Sequence[Adopted], tell: Callable[[float,
     entries = {id(one.hypothesis): one for one in asked}
     for first, second in exchangeable(ranking, [one.hypothesis for one in asked]):
         _exchanged(ranking, search, entries[id(first)], entries[id(second)])
-        _noise_of_both(ranking, search, entries[id(first)], entries[id(second)])
 
 
 def _likelier(ranked: Sequence[Scored], again: Sequence[Scored]) -> list[Scored]:
@@ -127,16 +126,3 @@ def _exchanged(ranking: Ranking, search: Search, first: Adopted, second: Adopted
         if not tied & {h.name for h in both[-2:]}:  # or it says again what each alone has said
             first.pairs.append(Together((both[-2], both[-1]), own - score, mine[1]))
             second.pairs.append(Together((both[-1], both[-2]), own - score, mine[0]))
-
-
-def _noise_of_both(ranking: Ranking, search: Search, first: Adopted, second: Adopted) -> None:
-    """Say of two names of one sensor where larger noise would do as well as both of them together."""
-    mine = first.hypothesis, second.hypothesis
-    rest = [one.hypothesis for one in search.adopted if one is not first and one is not second]
-    without = ranking.fit_of(rest, search.fit)
-    own = of_two(ranking, mine, search.fit.value - without.value)
-    columns = [i for h in mine for i in h.columns]
-    beyond, noise = held_against_noise(search.evidence, own, columns, search.fit, without)
-    if noise is not None and noise.names and beyond < TIE:
-        for one in (first, second):
-            one.instead = one.instead if one.instead is not None and one.instead[1] < beyond else (noise, beyond)

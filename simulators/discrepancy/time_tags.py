@@ -206,6 +206,8 @@ class _End:
 
     def _squares(self, off: Array) -> Array:
         """Return the squares of what came (m, 6), but its mean, by triad: a bias, or gravity by a wrong clock."""
+        if not self.came.any():
+            return np.zeros(len(_TRIADS))
         off = off[self.came] - off[self.came].mean(axis=0)
         return np.array([np.square(off[:, triad]).sum() for triad in _TRIADS])
 

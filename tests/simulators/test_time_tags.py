@@ -142,3 +142,11 @@ def test_stamps_that_are_off_by_many_samples_are_all_that_is_named(
     assert abs(value["value"] - hidden["parameters"][parameter]) < 3.3 * value["sigma"]
     assert report.verdict == "named"
     assert report.document["gap"]["whitened_rms"]["after"] < 1.1
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_end_of_a_turn_that_was_lost_altogether_tells_nothing() -> None:
+    case = closed_form.recording(None, 91)
+    lost = np.abs(case.samples["time"] - closed_form.TURNS[1][1]) < 1.0
+    scene = compare(replace(case, samples=case.samples[~lost]), closed_form.model())
+    assert find_time_tags([scene], lambda _: [scene]) is None
