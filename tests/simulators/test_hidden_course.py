@@ -61,3 +61,13 @@ def test_what_is_hidden_has_no_mean_of_its_own_and_is_nothing_elsewhere() -> Non
         assert not course[~shaken].any()
         assert sigma == pytest.approx(1.0, rel=0.01)
     assert abs(courses[0][1] @ courses[1][1]) < 1e-9 * (courses[0][1] @ courses[0][1])
+
+
+def test_a_step_while_it_is_shaken_is_where_the_means_say(tmp_path: Path) -> None:
+    """Six seconds into a vibration; where it began, with a rectification that made up for it, it explained less."""
+    case = hidden_case(90633, 410, tmp_path)
+    found = {(one["effect"], one["channel"]): one for one in discrepancy([case.recording], case.model).findings}
+    hidden = {(one["effect"], one["channel"]): one["parameters"] for one in case.truth["effects"]}
+    assert found.keys() == hidden.keys()
+    time = found["bias_step", "accel_z"]["parameters"]["time"]
+    assert abs(time["value"] - hidden["bias_step", "accel_z"]["time"]) < 3.3 * time["sigma"]
