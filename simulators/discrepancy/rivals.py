@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.adopt import Adopted, Search
-from simulators.discrepancy.candidates import Hypothesis, Kind
+from simulators.discrepancy.candidates import Hypothesis, Kind, is_usual
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
@@ -26,9 +26,9 @@ from simulators.discrepancy.two_names import (
     exchangeable,
     exchanges,
     joint,
+    of_its_sensor,
     of_two,
     pairs,
-    stand_ins,
 )
 from simulators.discrepancy.whitening import STATED
 
@@ -105,7 +105,10 @@ def _pairs(ranking: Ranking, own: Scored, rest: Sequence[Hypothesis], without: F
     look = Look(ranking.evidence, without, own.fit.noise)
     mine = bayes_factor(look.gain(h), h.freedom, ranking.places(h))
     tied = []
-    for pair in pairs(ranking, stand_ins(ranking, h, rest), look, mine - TIE - SLACK_OF_TWO):
+    pool = [
+        o for o in of_its_sensor(ranking, h, rest) if o.name != h.name or (is_usual(o.shape) and not is_usual(h.shape))
+    ]
+    for pair in pairs(ranking, pool, look, mine - TIE - SLACK_OF_TWO):
         same = h.name in (pair[0].name, pair[1].name)
         score, both, fit = joint(ranking, pair, rest, without, -math.inf if same else own.score - TIE)
         if same:

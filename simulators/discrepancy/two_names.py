@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.discrepancy.candidates import Hypothesis, Kind, Slot, is_usual
+from simulators.discrepancy.candidates import Hypothesis, Kind, Slot
 from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
@@ -75,8 +75,7 @@ def in_place_of_curve(
         own = 0.0 if one is None else bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
         least = curve.score + own - TIE
         look = Look(ranking.evidence, without, curve.fit.noise)
-        pool = [h for h in ranking.unlike({h.name for h in rest}) if ranking.channels(h) == channels]
-        for pair in pairs(ranking, pool, look, least - SLACK_OF_TWO):
+        for pair in pairs(ranking, of_its_sensor(ranking, curve.hypothesis, rest), look, least - SLACK_OF_TWO):
             score, both, fit = joint(ranking, pair, rest, without, least)
             if score > least and (best is None or fit.value > best[0]):
                 best = fit.value, both, fit
@@ -100,18 +99,16 @@ def in_place_of_one(
         without = ranking.fit_of(rest, current)
         own = bayes_factor(current.value - without.value, one.freedom, ranking.places(one))
         look = Look(ranking.evidence, without, ranking.quiet(current))
-        pool = [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
-        for pair in pairs(ranking, pool, look, own + better - SLACK_OF_TWO):
+        for pair in pairs(ranking, of_its_sensor(ranking, one, rest), look, own + better - SLACK_OF_TWO):
             score, both, fit = joint(ranking, pair, rest, without, own + better)
             if score > own + better:
                 better, best = score - own, (both, fit)
     return best
 
 
-def stand_ins(ranking: Ranking, one: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the names of which two may stand in the place of one: those of its sensor, and itself at usual shapes."""
-    pool = [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
-    return [h for h in pool if h.name != one.name or (is_usual(h.shape) and not is_usual(one.shape))]
+def of_its_sensor(ranking: Ranking, one: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the names that act on a name's sensors alone, itself at all its shapes among them, but for the rest."""
+    return [h for h in ranking.unlike({o.name for o in rest}) if ranking.channels(h) == ranking.channels(one)]
 
 
 def in_place_of_two(
