@@ -22,6 +22,7 @@ from simulators.discrepancy.compare import AWAY_V, SampleNoise, Scene, mean_chan
 from simulators.discrepancy.hidden_course import hidden_courses
 from simulators.discrepancy.lost_vibration import lost_vibration
 from simulators.discrepancy.referee import generic_columns
+from simulators.discrepancy.sway_ends import end_rates
 from simulators.discrepancy.turn_errors import ANGLE, TurnErrors, all_late, changed_by, is_whole, turn_errors
 from simulators.discrepancy.unsteady import level_spread
 from simulators.discrepancy.wiring import Mistake, mend
@@ -34,6 +35,9 @@ from simulators.motion import Turn
 Array = NDArray[np.float64]
 Slot = tuple[int, int]
 """A scene and a channel, both counted from 0."""
+
+GYROS = range(3, 6)
+"""Channels of gyros."""
 
 STEP_TRIALS = 12
 TRANSIENT_S = (5.0, 12.0, 25.0, 50.0, 100.0, 250.0, 700.0, 2000.0)
@@ -172,6 +176,8 @@ class Library:
         """Noise that a dead band would meet, of channels of which single samples show it."""
         self.schedules: dict[int, Schedule] = {}
         """Those of them that say how late turns were, by recording."""
+        self.ends: dict[Slot, list[int]] = {}
+        """Columns of what a gyro feels of a mount's angle at both ends of a record: see :meth:`sway`."""
         for index in range(len(scenes)):
             turns = self._turn_columns(index)
             self._add_nuisance(index, turns)
@@ -283,6 +289,15 @@ class Library:
                 shapes = self.shapes(effect, channel)
                 trials = [self.trial(effect.name, channel, shape, float(len(shapes))) for shape in shapes]
                 self.corrected += [trial for trial in trials if trial is not None]
+
+    def sway(self, slot: Slot, correlation_s: float) -> None:
+        """Fill the columns of a mount's angle at both ends, which forgets itself within so long, by a unit of it."""
+        scene = self.scenes[slot[0]]
+        analysed = scene.time_s.size // scene.group * scene.group
+        rates = np.zeros((2, scene.time_s.size))
+        rates[:, :analysed] = end_rates(analysed, scene.seen.interval_s, correlation_s)
+        for i, of_end in zip(self.ends[slot], rates, strict=True):
+            self.columns[i] = Column({slot: self._weighted(*slot, of_end)})
 
     def forget(self, hypothesis: Hypothesis) -> None:
         """Let go of the columns of a trial that came to nothing."""
@@ -546,6 +561,7 @@ class Library:
         for channel, course, spread in hidden_courses(scene):
             column = Column({(index, channel): self._weighted(index, channel, course)})
             self.nuisance.append((self._keep(column), spread))
+        self.ends |= {(index, channel): [self._keep(Column({})) for _ in range(2)] for channel in GYROS}
 
     def _always(self, index: int, change: Array, sigma: float) -> int | None:
         column = self.add_column(_of(index, change))

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from inertial.documents import CHANNELS, ChannelNoise
 from inertial.rounding import error_covariance, error_spectrum, power_scatter
 from simulators.discrepancy.atoms import Steps
-from simulators.discrepancy.candidates import Column, Kind, Library, Slot
+from simulators.discrepancy.candidates import GYROS, Column, Kind, Library, Slot
 from simulators.discrepancy.compare import Scene
 from simulators.discrepancy.filled_noise import Filling, filled_white
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
-from simulators.discrepancy.sway_time import correlation_time
+from simulators.discrepancy.sway_time import felt_sway
 from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
@@ -40,7 +40,6 @@ _OF_LATE = 4  # fits
 _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _ABOUT = 1.3  # times a correlation time, that it may be off
-_GYROS = range(3, 6)
 _MOMENTS = 128  # at which the motion is looked at
 _FAST = 0.25  # of all frequencies, above which what is not noise has little power
 _NOTHING = 1e-3  # σ of one channel's noise below which what there is of it is not there
@@ -187,15 +186,28 @@ class Evidence:
         return self.sways != before or any(tilted)
 
     def _tilt(self, scene: int, fit: Fit) -> bool:
-        """Let a recording's accelerometers be tilted at the correlation time that its gyros tell, if they tell one."""
-        gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in _GYROS]
-        at_s = correlation_time([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
-        if at_s is None:
+        """Let a recording's mount sway as its gyros tell, if they tell it.
+
+        Its accelerometers are tilted at that correlation time; what gyros feel of its angle at the record's ends is in
+        the fit.
+        """
+        gyros = [slot for slot in self.slots if slot[0] == scene and slot[1] in GYROS]
+        felt = felt_sway([(self.basis[g], fit.rss[g], self.power(g)) for g in gyros])
+        if felt is None:
             return False
         self._tilted.add(scene)
+        at_s = felt.correlation_s
         for slot in self.slots:
             if slot[0] == scene and slot not in gyros:
                 self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
+        for slot, angle in zip(gyros, felt.angle_rad, strict=True):
+            if angle > 0.0:
+                self.basis[slot] = self.basis[slot].without_ends()
+                self.library.sway(slot, at_s)
+                self.inner[slot] = InnerProducts(self.library, slot, self.basis[slot].bounds)
+                self.prior |= dict.fromkeys(self.library.ends[slot], angle)
+        self._always = tuple(self.prior)
+        self._stacks.clear()
         return True
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:

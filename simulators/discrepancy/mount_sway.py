@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
-from simulators.discrepancy.candidates import Slot
+from simulators.discrepancy.candidates import GYROS, Slot
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
 from simulators.discrepancy.noise_likelihood import log_likelihood, most_likely, start_of
 from simulators.discrepancy.sway_time import times_to_try
@@ -26,7 +26,6 @@ FEWEST = 2
 """Channels that must feel a sway."""
 FELT = 3.0
 """Evidence [nats] by which one of them feels it."""
-_GYROS = range(3, 6)
 _TIMES, _HALVED = 10, 4  # correlation times tried at first; how often the way between two of them is halved
 
 
@@ -77,7 +76,7 @@ def _merit(sway: Sway, otherwise: Mapping[str, float]) -> float:
 
 
 def _at(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], correlation_s: float) -> Sway:
-    tilted = {slot: slot[1] not in _GYROS for slot in power}
+    tilted = {slot: slot[1] not in GYROS for slot in power}
     columns = {slot: evidence.basis[slot].sway(correlation_s, tilted=tilted[slot])[:, None] for slot in power}
     channels = {channel: [slot for slot in power if slot[1] == channel] for _, channel in power}
     felt = {CHANNELS[channel]: _gain(evidence, fit, power, columns, slots) for channel, slots in channels.items()}
@@ -86,7 +85,7 @@ def _at(evidence: Evidence, fit: Fit, power: Mapping[Slot, Array], correlation_s
 
 def angle_rad(sway: Sway, powers: Mapping[Slot, Array]) -> float | None:
     """Return the angle's σ [rad], root mean square of what gyros feel by its power (b,); none where none feels it."""
-    squares = [float(np.sum(powers[slot]) / np.sum(sway.columns[slot])) for slot in powers if slot[1] in _GYROS]
+    squares = [float(np.sum(powers[slot]) / np.sum(sway.columns[slot])) for slot in powers if slot[1] in GYROS]
     return math.sqrt(float(np.mean(squares))) if squares else None
 
 

@@ -111,6 +111,16 @@ def test_what_grows_with_temperature_is_no_slow_sway_of_a_mount_that_sways_fast(
     assert [(f["effect"], f["channel"]) for f in found] == [(hidden["effect"], hidden["channel"])]
 
 
+@pytest.mark.parametrize(("seed", "number"), [(90631, 88), (90637, 23), (90637, 407)])
+def test_where_a_mount_stood_at_a_records_ends_is_no_transient_and_no_step(
+    seed: int, number: int, tmp_path: Path
+) -> None:
+    """Nulls, and a clock's error, with a name that began or ended with the record."""
+    case = hidden_case(seed, number, tmp_path)
+    found = discrepancy([case.recording], case.model).findings
+    assert [f["effect"] for f in found] == [e["effect"] for e in case.truth["effects"]]
+
+
 def test_noise_of_that_colour_on_one_gyro_is_no_mount() -> None:
     def change(true: Truth, readings: np.ndarray) -> None:
         readings[:, 4] += np.diff(angle(np.random.default_rng(5), len(true["t"]) + 1)) * RATE_HZ

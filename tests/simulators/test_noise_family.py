@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.fft import dct
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from inertial.documents import ChannelNoise
-from simulators.discrepancy.fisher_scoring import climb
+from simulators.discrepancy.fisher_scoring import climb, top
+from simulators.discrepancy.sway_ends import end_rates
 from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, WIDE, Basis, cosine_basis, fit_noise
 
 COUNT, INTERVAL_S, RECORDS = 4096, 0.01, 60
@@ -42,6 +43,27 @@ def test_a_mount_that_sways_acts_on_accelerometers_by_its_angle_and_on_gyros_by_
     ratio /= np.average(ratio, weights=counted)
     bounds = np.array(chi2.interval(1.0 - 1e-3 / len(counted), counted)) / counted
     assert np.all((bounds[0] < ratio) & (ratio < bounds[1])), ratio
+
+
+def test_a_gyro_feels_a_sway_by_its_angle_at_both_ends_and_else_far_less() -> None:
+    """As above, of what is left of rates without what the first and the last angle make of them."""
+    basis, rng = cosine_basis(COUNT, INTERVAL_S).without_ends(), np.random.default_rng(4)
+    decay = math.exp(-1.0 / 24.5)
+    courses = end_rates(COUNT, INTERVAL_S, 0.245) * INTERVAL_S
+    power = np.zeros(len(basis.counts))
+    for _ in range(RECORDS):
+        angle = lfilter([1.0], [1.0, -2.0 * decay, decay**2], rng.standard_normal(COUNT + 1001))[1000:]
+        left = np.diff(angle) - angle[0] * courses[0] - angle[-1] * courses[1]
+        power += np.add.reduceat(dct(left, norm="ortho") ** 2, basis.bounds[:-1])
+    low = slice(1, int(np.searchsorted(basis.frequency_hz, 2.0)))
+    expected = basis.sway(0.245, tilted=False)[low] * INTERVAL_S**2
+    variance = (1.0 + decay**2) / (1.0 - decay**2) ** 3
+    counted = RECORDS * basis.counts[low]
+    ratio = power[low] / counted / (expected * variance)
+    bounds = np.array(chi2.interval(1.0 - 1e-3 / len(counted), counted)) / counted
+    assert np.all((bounds[0] < ratio) & (ratio < bounds[1])), ratio
+    with_ends = cosine_basis(COUNT, INTERVAL_S).sway(0.245, tilted=False)[low] * INTERVAL_S**2
+    assert expected[0] < 0.1 * with_ends[0]
 
 
 @pytest.mark.parametrize("stated_times", [0.5, 1.0, 2.0])
@@ -84,6 +106,21 @@ def test_no_variances_are_likelier_than_those_that_are_found(seed: int) -> None:
     peer = minimize(falls, start, method="L-BFGS-B", bounds=[(0.0, None)] * len(start))
     assert np.all(found >= 0.0)
     assert falls(found) < min(falls(true), peer.fun) + 0.01
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 15))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_the_top_of_a_parabola_is_that_of_least_squares_without_a_negative_number(seed: int, terms: int) -> None:
+    """SciPy's solver of the problem as rows, of terms that are nearly alike, from the start and from the top itself."""
+    random = np.random.default_rng(seed)
+    likeness = random.uniform(0.0, 0.999)
+    rows = likeness * random.random((40, 1)) + (1.0 - likeness) * random.random((40, terms))
+    seen = rows @ np.where(random.random(terms) < 0.5, random.random(terms), 0.0) + 0.1 * random.standard_normal(40)
+    peer, _ = nnls(rows, seen)
+    for start in (np.zeros(terms), random.random(terms), peer):
+        found = top(rows.T @ seen, rows.T @ rows, start)
+        assert np.all(found >= 0.0)
+        assert np.sum((rows @ found - seen) ** 2) <= np.sum((rows @ peer - seen) ** 2) + 1e-6
 
 
 def _of_proportions(stated_times: float) -> tuple[Basis, np.ndarray, np.ndarray]:
