@@ -148,7 +148,7 @@ class Searcher:
             score, both, fit = pair
             columns = [i for h in both[len(adopted) :] for i in h.columns]
             # What one name does not do better than noise, the second must do by the margin of a further one.
-            if not self._is_noise(score - FURTHER, columns, fit, current):
+            if not self._is_noise(score, columns, fit, current, FURTHER):
                 return both, fit
         if best is None:
             return self._swallowed(adopted, current)
@@ -185,15 +185,15 @@ class Searcher:
             return self._pair(named[:4], adopted, curve) or curve
         return best if certain > least else None
 
-    def _is_noise(self, score: float, columns: Sequence[int], fit: Fit, current: Fit) -> bool:
-        """Whether a name or two explain less than larger noise does, by much unless that is certain of itself.
+    def _is_noise(self, score: float, columns: Sequence[int], fit: Fit, current: Fit, least: float = 0.0) -> bool:
+        """Whether a name or two do not explain at least so much more than larger noise, or nearly where that is unsure.
 
         A walk of a coefficient or two is as good a shift or drift: where neither is certain, both are told.
         """
         if score <= 0.0:
             return False
         beyond, noise = held_against_noise(self.evidence, score, columns, fit, current)
-        return noise is not None and beyond < (0.0 if noise.certain else -TIE)
+        return noise is not None and beyond < least - (0.0 if noise.certain else TIE)
 
     def _took_its_place(self, one: Scored, current: Fit) -> bool:
         """Whether noise that is larger than stated, of no name, has taken for itself what one may explain.

@@ -2,11 +2,13 @@
 
 import math
 
-MARGIN = math.log(100.0)
+FALSE_ALARM_RATE = 0.01
+"""Share of recordings that hide nothing in which the search may name anything at all."""
+MARGIN = math.log(30.0)
 """Bayes factor beyond the penalty of looking that a name must have, or all names that tie with it together.
 
-Where nothing is hidden the mean Bayes factor of all that is looked at is 1, so that it is exp(MARGIN) once in a hundred
-recordings at most (Markov).
+In noise that is known what is found by chance has a tail of χ², which of all names together passes this once in a
+thousand recordings. The rest of the rate is left to noise that is not quite what it was taken for.
 """
 FURTHER = math.log(1000.0)
 """... that a further one must have beside a name that was found.

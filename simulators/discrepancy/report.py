@@ -25,7 +25,7 @@ from simulators.discrepancy.gap import navigation_gap, rms, where
 from simulators.discrepancy.heldout import HeldOut
 from simulators.discrepancy.influence import gains_but, too_few_samples
 from simulators.discrepancy.lateness import as_late
-from simulators.discrepancy.margins import MARGIN, TIE
+from simulators.discrepancy.margins import FALSE_ALARM_RATE, MARGIN, TIE
 from simulators.discrepancy.mount_sway import angle_rad
 from simulators.discrepancy.next_recording import Question, Rival, propose, propose_longer, propose_unseen
 from simulators.discrepancy.noise_names import TERMS, NamedNoise, NoiseFinding, name_noise
@@ -247,7 +247,7 @@ def _report(
         },
         "where": where(search),
         "noise": _noise_document(search),
-        "false_alarm_rate": 0.01,
+        "false_alarm_rate": FALSE_ALARM_RATE,
         "model": {"parent": model.sha256(), "sha256": child.sha256() if added else None},
         "inputs": _inputs(recordings),
         "next_recording": [],

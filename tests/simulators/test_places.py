@@ -7,13 +7,15 @@ import math
 import numpy as np
 import pytest
 from closed_form import RATE_HZ, WHITE, Truth, model, recording
-from scipy.stats import binom
+from scipy.optimize import brentq
+from scipy.stats import binom, chi2
 
 from simulators.discrepancy.atoms import Steps, best_line, score_of
 from simulators.discrepancy.candidates import STEP_PLACES, Library, to_cosine
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.evidence import Evidence, bayes_factor
 from simulators.discrepancy.look import Look
+from simulators.discrepancy.margins import FALSE_ALARM_RATE, MARGIN
 from simulators.discrepancy.ranking import Ranking
 from simulators.discrepancy.shapes import line_places
 from simulators.discrepancy.whitening import cosine_basis
@@ -34,6 +36,18 @@ def test_a_step_would_do_as_well_where_its_likelihood_says(d: float) -> None:
     assert found.first == first
     assert found.gain == pytest.approx(0.5 * d**2, rel=0.01)
     assert found.alike == pytest.approx(np.sum(np.exp(0.5 * d**2 * (cosine2 - 1.0))) / COUNT, rel=0.1, abs=0.1 / COUNT)
+
+
+@pytest.mark.parametrize("amplitudes", [1, 2, 3])
+def test_names_by_chance_are_far_rarer_than_is_promised(amplitudes: int) -> None:
+    """Of all names of a library together, in noise that is known, by the tail of χ² of their likelihood ratios."""
+    ranking = Ranking(Evidence(Library([compare(recording(None, 130), model())])))
+
+    def beyond(gain: float) -> float:
+        return bayes_factor(gain, amplitudes, ranking.names) - MARGIN
+
+    gain = brentq(beyond, amplitudes, 100.0)
+    assert ranking.names * chi2.sf(2.0 * gain, amplitudes) < 0.2 * FALSE_ALARM_RATE
 
 
 def test_steps_where_there_are_none_are_as_rare_as_their_price_says() -> None:
