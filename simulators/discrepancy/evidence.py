@@ -24,6 +24,7 @@ from simulators.discrepancy.filled_noise import Filling, filled_white
 from simulators.discrepancy.inner_products import InnerProducts, Products
 from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
+from simulators.discrepancy.sway_ends import turned_ends
 from simulators.discrepancy.sway_time import felt_sway
 from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
 
@@ -40,6 +41,7 @@ _OF_LATE = 4  # fits
 _KEPT = (0.3, 0.1, 0.03)  # times as well as it need be that a schedule may be kept
 _FELT = 0.1  # σ of the data that an uncertainty of the reference must amount to
 _ABOUT = 1.3  # times a correlation time, that it may be off
+_FEWEST = 2  # gyros of which nothing else explains the noise, for a mount to sway beyond doubt
 _MOMENTS = 128  # at which the motion is looked at
 _FAST = 0.25  # of all frequencies, above which what is not noise has little power
 _NOTHING = 1e-3  # σ of one channel's noise below which what there is of it is not there
@@ -200,15 +202,21 @@ class Evidence:
         for slot in self.slots:
             if slot[0] == scene and slot not in gyros:
                 self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
-        for slot, angle in zip(gyros, felt.angle_rad, strict=True):
-            if angle > 0.0:
-                self.basis[slot] = self.basis[slot].without_ends()
-                self.library.sway(slot, at_s)
-                self.inner[slot] = InnerProducts(self.library, slot, self.basis[slot].bounds)
-                self.prior |= dict.fromkeys(self.library.ends[slot], angle)
+        angles = [angle for g, angle in zip(gyros, felt.angle_rad, strict=True) if fit.noise[g].level == SWAY]
+        if len(angles) >= _FEWEST:
+            self._end(gyros, at_s, math.sqrt(float(np.mean(np.square(angles)))))
+        return True
+
+    def _end(self, gyros: Sequence[Slot], correlation_s: float, angle_rad: float) -> None:
+        """Let a recording's gyros feel where a mount that sways was at both ends, by the σ of its angle."""
+        turns = [turn for _, turn in self.library.scenes[gyros[0][0]].turns()]
+        for slot, ends in zip(gyros, turned_ends(turns, correlation_s), strict=True):
+            self.basis[slot] = self.basis[slot].with_ends(float(ends))
+            self.library.sway(slot, correlation_s)
+            self.inner[slot] = InnerProducts(self.library, slot, self.basis[slot].bounds)
+            self.prior |= dict.fromkeys(self.library.ends[slot], angle_rad)
         self._always = tuple(self.prior)
         self._stacks.clear()
-        return True
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of noise of any size, with its rounding as it jolts that, and with filled gaps."""

@@ -50,8 +50,8 @@ class Basis:
 
     The first ``fast`` terms are white noise and rounding, the next are flicker and random walk. ``shape`` (b,): white
     noise, flicker and random walk in the proportions of a model that leaves their size free; ``least_slow`` (b,): how
-    much of flicker and random walk there is at least. ``between_ends``: whether the angle of a mount at a record's ends
-    is no part of what its rate adds.
+    much of flicker and random walk there is at least. ``ends``: how much of what a mount adds that sways comes
+    of its angle at a record's ends, over twice its variance.
     """
 
     bounds: NDArray[np.int64]
@@ -64,7 +64,7 @@ class Basis:
     shape: Array | None = None
     least_slow: Array | None = None
     white_filled: Array | float = 1.0
-    between_ends: bool = False
+    ends: float = 1.0
 
     @property
     def frequency_hz(self) -> Array:
@@ -94,12 +94,12 @@ class Basis:
         names = (*(self.names[place] for place in others), *(f"sway {at_s:.3g} s" for at_s in times_s))
         return replace(self, power=power, names=names)
 
-    def without_ends(self) -> Basis:
-        """Return a gyro's basis where the angle of a mount at a record's ends is found apart (:mod:`.sway_ends`)."""
-        apart = cosine_basis(self.n, self.interval_s, between_ends=True)
+    def with_ends(self, ends: float) -> Basis:
+        """Return a gyro's basis where so much comes of a mount's angle at a record's ends, see :mod:`.sway_ends`."""
+        other = cosine_basis(self.n, self.interval_s, ends=ends)
         power = self.power.copy()
-        power[:, self._swaying()] = apart.power[:, apart._swaying()]
-        return replace(self, power=power, between_ends=True)
+        power[:, self._swaying()] = other.power[:, other._swaying()]
+        return replace(self, power=power, ends=ends)
 
     def _swaying(self) -> list[int]:
         return [place for place, name in enumerate(self.names) if name.startswith("sway")]
@@ -194,8 +194,7 @@ class Basis:
         As its rate [1/s], or ``tilted`` as its angle.
         """
         decay = math.exp(-self.interval_s / correlation_s)
-        ends = 0.0 if self.between_ends else 1.0 / self.n
-        power = _sway(np.sin(self._x()) ** 2, decay, ends, tilted=tilted)
+        power = _sway(np.sin(self._x()) ** 2, decay, self.ends / self.n, tilted=tilted)
         return power if tilted else power / self.interval_s**2
 
     def _x(self) -> Array:
@@ -221,11 +220,11 @@ def freely_rounded_hz(noise: ChannelNoise, interval_s: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def cosine_basis(n: int, interval_s: float, *, tilted: bool = False, between_ends: bool = False) -> Basis:
+def cosine_basis(n: int, interval_s: float, *, tilted: bool = False, ends: float = 1.0) -> Basis:
     """Return the bins of n coefficients, the lowest one by one, and the family's power in them.
 
-    ``tilted``: a mount that sways acts by its angle, as on an accelerometer, and not by its rate, as on a gyro; which
-    is taken ``between_ends`` where the angle at these is found apart.
+    ``tilted``: a mount that sways acts by its angle, as on an accelerometer, and not by its rate, as on a gyro, of
+    which so much comes of the ``ends``.
     """
     single = min(_SINGLE, n)
     steps = max(2, math.ceil(math.log(n / single) / math.log(_RATIO)) + 1)
@@ -241,12 +240,12 @@ def cosine_basis(n: int, interval_s: float, *, tilted: bool = False, between_end
         columns.append((1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2))
         names.append(f"markov {correlation * interval_s:.3g} s")
         if correlation * interval_s > SWAYS_S:
-            sway = _sway(sine2, decay, 0.0 if between_ends else 1.0 / n, tilted=tilted)
+            sway = _sway(sine2, decay, ends / n, tilted=tilted)
             columns.append(sway / sway.max())
             names.append(f"sway {correlation * interval_s:.3g} s")
         correlation *= _GM_RATIO
     counts = np.diff(bounds).astype(np.float64)
-    return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s, between_ends=between_ends)
+    return Basis(bounds, counts, np.column_stack(columns), tuple(names), n, interval_s, ends=ends)
 
 
 def _sway(sine2: Array, decay: float, ends: float, *, tilted: bool) -> Array:
@@ -254,8 +253,8 @@ def _sway(sine2: Array, decay: float, ends: float, *, tilted: bool) -> Array:
 
     ``sine2`` (b,): sin² of half the frequency, which for a change is raised as its angle is a record's ends apart.
     Summed by parts, the coefficients of a difference hold the values at both ends: twice the variance of the angle,
-    each two in n of the power, ``ends`` being one in n. That variance is the mean over all frequencies of the angle's
-    power.
+    each two in n of the power, ``ends`` being one in n, or as much of that as counts. That variance is the mean over
+    all frequencies of the angle's power.
     """
     markov = (1.0 - decay**2) / ((1.0 - decay) ** 2 + 4.0 * decay * sine2)
     variance = (1.0 + decay**2) / (1.0 - decay**2)

@@ -16,8 +16,9 @@ from scipy.stats import chi2
 
 from inertial.documents import ChannelNoise
 from simulators.discrepancy.fisher_scoring import climb, top
-from simulators.discrepancy.sway_ends import end_rates
+from simulators.discrepancy.sway_ends import end_rates, turned_ends
 from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, WIDE, Basis, cosine_basis, fit_noise
+from simulators.motion import Turn
 
 COUNT, INTERVAL_S, RECORDS = 4096, 0.01, 60
 
@@ -47,7 +48,7 @@ def test_a_mount_that_sways_acts_on_accelerometers_by_its_angle_and_on_gyros_by_
 
 def test_a_gyro_feels_a_sway_by_its_angle_at_both_ends_and_else_far_less() -> None:
     """As above, of what is left of rates without what the first and the last angle make of them."""
-    basis, rng = cosine_basis(COUNT, INTERVAL_S).without_ends(), np.random.default_rng(4)
+    basis, rng = cosine_basis(COUNT, INTERVAL_S, ends=0.0), np.random.default_rng(4)
     decay = math.exp(-1.0 / 24.5)
     courses = end_rates(COUNT, INTERVAL_S, 0.245) * INTERVAL_S
     power = np.zeros(len(basis.counts))
@@ -64,6 +65,29 @@ def test_a_gyro_feels_a_sway_by_its_angle_at_both_ends_and_else_far_less() -> No
     assert np.all((bounds[0] < ratio) & (ratio < bounds[1])), ratio
     with_ends = cosine_basis(COUNT, INTERVAL_S).sway(0.245, tilted=False)[low] * INTERVAL_S**2
     assert expected[0] < 0.1 * with_ends[0]
+
+
+@pytest.mark.parametrize("lasts_s", [2.0, 6.0])
+def test_a_gyro_that_is_turned_in_a_mount_that_sways_feels_its_angle_come_back_about_another_axis(
+    lasts_s: float,
+) -> None:
+    """A quarter turn about x at any time, of which slow coefficients hold as much as ends of an angle do: 4 σ."""
+    decay, rng = math.exp(-1.0 / 24.5), np.random.default_rng(5)
+    courses = end_rates(COUNT, INTERVAL_S, 0.245) * INTERVAL_S
+    time_s, low, power = np.arange(COUNT) * INTERVAL_S, slice(1, 5), 0.0
+    for _ in range(10 * RECORDS):
+        start_s = rng.uniform(0.0, COUNT * INTERVAL_S - lasts_s)
+        turn = Turn(start_s, start_s + lasts_s, 0.5 * math.pi / lasts_s, (1.0, 0.0, 0.0))
+        turned = turn.rate_radps * np.clip(time_s - start_s, 0.0, lasts_s)
+        angle = lfilter([1.0], [1.0, -2.0 * decay, decay**2], rng.standard_normal((2, COUNT + 1001)))[:, 1000:]
+        left = np.cos(turned) * np.diff(angle[0]) + np.sin(turned) * np.diff(angle[1])
+        left -= angle[0, 0] * courses[0] + angle[1, -1] * courses[1]
+        power += float(np.sum(dct(left, norm="ortho")[low] ** 2))
+    ends = turned_ends([turn], 0.245)
+    assert ends == pytest.approx([0.0, ends[1], ends[1]])
+    expected = cosine_basis(COUNT, INTERVAL_S, ends=float(ends[1])).sway(0.245, tilted=False)[low] * INTERVAL_S**2
+    expected *= (1.0 + decay**2) / (1.0 - decay**2) ** 3
+    assert power / (10 * RECORDS * expected.sum()) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / (10 * RECORDS * 4)))
 
 
 @pytest.mark.parametrize("stated_times", [0.5, 1.0, 2.0])

@@ -87,7 +87,7 @@ def test_that_one_of_several_names_is_there_is_surer_than_any_of_them() -> None:
     """What grows with the input in six attitudes may be of any order; that it is there at all is beyond chance."""
 
     def change(true: Truth, readings: np.ndarray) -> None:
-        readings[:, 2] += 0.13 * ACCEL_SIGMA * (true["accel"][:, 2] / closed_form.GRAVITY_MPS2) ** 3
+        readings[:, 2] += 0.12 * ACCEL_SIGMA * (true["accel"][:, 2] / closed_form.GRAVITY_MPS2) ** 3
 
     (found,) = discrepancy([recording(change, 92)], model()).findings
     assert found["evidence_nats"] < MARGIN
