@@ -34,7 +34,7 @@ from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
 from simulators.discrepancy.remarks import remarks
 from simulators.discrepancy.rivals import find_rivals, names_instead
-from simulators.discrepancy.silence import find_silenced
+from simulators.discrepancy.silence import find_silenced, without_band
 from simulators.discrepancy.standing import Stuck, find_stuck, without_stuck
 from simulators.discrepancy.steady_clock import at_steady_rate
 from simulators.discrepancy.stood_between_steps import stood_between_steps
@@ -52,7 +52,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 SCHEMA = "inertrim/discrepancy/1"
-_SURE = 100.0  # nats of a limit whose samples are taken out
+_SURE = 100.0  # nats of a limit or a dead band whose samples are taken out
+_WIDE = 1.5  # σ of a sample that such a band is wide at least
+_READ_OFF = {"saturation": without_limit, "dead_band": without_band}
 OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
 """Effects that happened to a recording and are no property of the block: reported, not added to its model."""
 
@@ -122,7 +124,7 @@ def discrepancy(
     search = _searched(scenes, tell, beside=bool(mistakes or tags or stuck or read_off))
     limits, wired, stood = _limits(search), _wired(search), stood_between_steps(search)
     if limits or wired or stood:
-        scenes = [reduce(without_limit, limits, scene) for scene in scenes]
+        scenes = [reduce(lambda seen, one: _READ_OFF[one.effect](seen, one), limits, scene) for scene in scenes]
         scenes = [without_stuck(scene, [one for place, one in stood if place == n]) for n, scene in enumerate(scenes)]
         scenes = _mended(scenes, wired)
         stuck += [one for _, one in stood]
@@ -154,13 +156,15 @@ def _searched(scenes: list[Scene], tell: Progress, *, beside: bool) -> Search:
 
 
 def _limits(search: Search) -> list[ReadOff]:
-    """Return limits that were named and have no rival, met by the noise: what it leaves beyond them is no noise."""
-    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect == "saturation" and a.score > _SURE]
+    """Return limits and dead bands that were named and have no rival, met by the noise: what they leave is no noise."""
+    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect in _READ_OFF and a.score > _SURE]
     found = []
     for one in _without_rival(search, named):
         h, everything = one.hypothesis, [a.hypothesis for a in search.adopted]
-        limit = parameters_of(search.evidence, h, everything, search.fit)["limit"]
-        found.append(ReadOff("saturation", h.channel, limit.value, limit.sigma or 0.0, one.score))
+        (size,) = parameters_of(search.evidence, h, everything, search.fit).values()
+        noise = max(float(scene.noise_sigma[CHANNELS.index(h.channel)]) for scene in search.evidence.library.scenes)
+        if h.effect == "saturation" or size.value > _WIDE * noise:
+            found.append(ReadOff(h.effect, h.channel, size.value, size.sigma or 0.0, one.score))
     return found
 
 

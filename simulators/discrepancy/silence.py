@@ -48,9 +48,20 @@ def find_silenced(scene: Scene) -> tuple[Scene, list[ReadOff]]:
         about = _about(scene, column, silent, came, noise) or _about_hole(scene, column, silent, came)
         read = None if about is None else half_width([scene], channel, about[0])
         if about is not None and read is not None and _as_many(scene, column, silent, came, read):
-            missing[came & (np.abs(scene.predicted[:, column]) < read.value + _CLEAR * noise), column] = True
+            missing[came & _in_reach(scene, column, read.value, noise), column] = True
             found.append(ReadOff("dead_band", channel, read.value, read.sigma, about[1]))
     return (replace(scene, data=replace(scene.data, missing=missing)) if found else scene), found
+
+
+def without_band(scene: Scene, band: ReadOff) -> Scene:
+    """Return the scene with the samples in reach of a dead band, known of otherwise, marked missing."""
+    column, missing = CHANNELS.index(band.channel), scene.data.missing.copy()
+    missing[_in_reach(scene, column, band.value, float(scene.noise_sigma[column])), column] = True
+    return replace(scene, data=replace(scene.data, missing=missing))
+
+
+def _in_reach(scene: Scene, column: int, half_width: float, noise: float) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(scene.predicted[:, column]) < half_width + _CLEAR * noise)
 
 
 def _about_hole(

@@ -79,7 +79,7 @@ def test_where_nothing_is_silent_nothing_is_read_off(scene: Scene) -> None:
     assert half_width([silenced(scene, 1, 0.0, 0.0, scene.model.noise)], "gyro_z", SIGMA) is None
 
 
-@pytest.mark.parametrize(("seed", "number"), [(90616, 12), (90609, 370), (90631, 22)])
+@pytest.mark.parametrize(("seed", "number"), [(90616, 12), (90609, 370), (90631, 22), (90639, 482), (90625, 30)])
 def test_a_band_of_the_noise_s_own_width_has_no_step_beside_it(seed: int, number: int, tmp_path: Path) -> None:
     """What it takes away in the mean hangs on the noise, with heavy tails or of another size than all of it shows."""
     case = hidden_case(seed, number, tmp_path)
