@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.candidates import FITTED_PLACES, STEP_PLACES, USUAL, Hypothesis, Kind, Slot, is_usual
-from simulators.discrepancy.dead_band_width import half_width
+from simulators.discrepancy.compare import Scene
+from simulators.discrepancy.dead_band_width import HalfWidth, half_width
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import MARGIN
@@ -24,6 +26,7 @@ _LOOSER = 1.3  # times a shape, beside which it may be of any between
 _NEARBY = 10.0  # samples that a step may be off at first
 _NEAR_LINE = 0.1  # of the frequency that turns once in twice the record, by which a line may be off
 _SETTLED = 0.02  # share of its size by which the amplitude of a chord may be off
+_SAME_BAND = 0.1  # of ln of where a band is looked for, within which it is found alike
 _CLOSER = 0.55  # width of the next look over that of the last
 _ROUGHLY, _FAR_OFF = frozenset({"half_width", "limit", "time"}), 100.0  # shapes that may be so many widths off at first
 _ZOOMS = {"time_constant": 7, "half_width": 18, "limit": 20, "reference": 6, "nominal": 5, "time": 9, "frequency": 8}
@@ -44,6 +47,7 @@ class Shapes:
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence, self.library = evidence, evidence.library
+        self._bands: dict[str, tuple[Sequence[Scene], float, HalfWidth | None]] = {}
 
     def refine(self, hypothesis: Hypothesis, current: Fit, look: Look, whole: Fit | None = None) -> Hypothesis:
         """Return the hypothesis at its best shape nearby, beside a fit; ``whole`` is one with it, if there is one."""
@@ -97,12 +101,20 @@ class Shapes:
         alike = float(np.sum(np.exp(gains - gains.max())))
         return replace(hypothesis, places=max(len(grid) / alike, 1.0))
 
+    def _read_off(self, channel: str, about: float) -> HalfWidth | None:
+        """Return the half-width that samples show, which hangs little on where it is looked for."""
+        scenes, at, read = self._bands.get(channel, ((), math.inf, None))
+        if scenes is not self.library.scenes or abs(math.log(at / about)) > _SAME_BAND:
+            read = half_width(self.library.scenes, channel, about)
+            self._bands[channel] = self.library.scenes, about, read
+        return read
+
     def _as_samples_say(self, hypothesis: Hypothesis, look: Look) -> Hypothesis:
         """Return a dead band in the noise that its own samples show, where that explains more of the means."""
         gain = look.gain(hypothesis)
         if gain < MARGIN or hypothesis.channel in self.library.met:
             return hypothesis
-        read = half_width(self.library.scenes, hypothesis.channel, hypothesis.shape["half_width"])
+        read = self._read_off(hypothesis.channel, hypothesis.shape["half_width"])
         if read is None:
             return hypothesis
         self.library.met[hypothesis.channel] = read.noise
