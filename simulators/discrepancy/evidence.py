@@ -204,10 +204,10 @@ class Evidence:
                 self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
         angles = [angle for g, angle in zip(gyros, felt.angle_rad, strict=True) if fit.noise[g].level == SWAY]
         if len(angles) >= _FEWEST:
-            self._end(gyros, at_s, math.sqrt(float(np.mean(np.square(angles)))))
+            self._feel_ends(gyros, at_s, math.sqrt(float(np.mean(np.square(angles)))))
         return True
 
-    def _end(self, gyros: Sequence[Slot], correlation_s: float, angle_rad: float) -> None:
+    def _feel_ends(self, gyros: Sequence[Slot], correlation_s: float, angle_rad: float) -> None:
         """Let a recording's gyros feel where a mount that sways was at both ends, by the σ of its angle."""
         turns = [turn for _, turn in self.library.scenes[gyros[0][0]].turns()]
         for slot, ends in zip(gyros, turned_ends(turns, correlation_s), strict=True):

@@ -122,13 +122,13 @@ def discrepancy(
         read_off += clipped + silenced
         outliers += wild
     search = _searched(scenes, tell, beside=bool(mistakes or tags or stuck or read_off))
-    limits, wired, stood = _limits(search), _wired(search), stood_between_steps(search)
-    if limits or wired or stood:
-        scenes = [reduce(lambda seen, one: _READ_OFF[one.effect](seen, one), limits, scene) for scene in scenes]
+    met, wired, stood = _met_by_noise(search), _wired(search), stood_between_steps(search)
+    if met or wired or stood:
+        scenes = [reduce(lambda seen, one: _READ_OFF[one.effect](seen, one), met, scene) for scene in scenes]
         scenes = [without_stuck(scene, [one for place, one in stood if place == n]) for n, scene in enumerate(scenes)]
         scenes = _mended(scenes, wired)
         stuck += [one for _, one in stood]
-        read_off += limits
+        read_off += met
         mistakes += wired
         search = _searched(scenes, lambda share, text: tell(0.8 + 0.05 * share, text), beside=True)
     undone: list[Mistake | TimeTags] = [*mistakes, tags] if tags is not None else [*mistakes]
@@ -155,7 +155,7 @@ def _searched(scenes: list[Scene], tell: Progress, *, beside: bool) -> Search:
     return told_by_noise(Searcher(evidence, tell, beside=beside).run())
 
 
-def _limits(search: Search) -> list[ReadOff]:
+def _met_by_noise(search: Search) -> list[ReadOff]:
     """Return limits and dead bands that were named and have no rival, met by the noise: what they leave is no noise."""
     named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect in _READ_OFF and a.score > _SURE]
     found = []
