@@ -380,10 +380,10 @@ class _Draft:
             channel = index(effect.channel)
             left = (readings - self._noiseless(self.world.inputs))[:, channel]
             return self.metric.noise_got(channel, _noisier(self.spectra[channel], effect), left)
-        believed = self._noiseless(self.world.inputs_of(self.stated))
-        for channel, value, _, truth in self.known:
-            believed[:, channel] += value - truth
-        return self._beside(effect).got(self._shift(effect, sent)(effect), sent - believed)
+        off = [(truth - value, sigma) for _, value, sigma, truth in self.known]
+        errors = oracle.errors_of(self.true, self.stated, self.plan.sigma, self.plan.level_frame == "body", off)
+        noise = sent - self._noiseless(self._unshaken().inputs)
+        return self._beside(effect).got(self._shift(effect, sent)(effect), noise, errors)
 
     def _clock_shift(self, error: float) -> np.ndarray:
         fast = self._unshaken()

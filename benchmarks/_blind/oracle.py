@@ -79,12 +79,12 @@ class Metric:
         """d of a shift of the readings (n, 6)."""
         return float(np.linalg.norm(self.project(self.whiten(shift))))
 
-    def got(self, shift: np.ndarray, noise: np.ndarray) -> float:
+    def got(self, shift: np.ndarray, noise: np.ndarray, errors: np.ndarray) -> float:
         """d that a shift (n, 6) comes to beside the noise (n, 6) that there is: √ of twice ln of the likelihood ratio.
 
-        0 where the readings are likelier without.
+        ``errors`` (k,): of the nuisance parameters, in σ. 0 where the readings are likelier without.
         """
-        effect, beside = self.project(self.whiten(shift)), self.project(self.whiten(noise))
+        effect, beside = self.project(self.whiten(shift)), self.project(self.whiten(noise) + errors @ self.nuisance)
         return float(np.sqrt(max(effect @ effect + 2.0 * (effect @ beside), 0.0)))
 
     def noise_got(self, channel: int, other: Spectrum, left: np.ndarray) -> float:
@@ -113,6 +113,22 @@ def project(flat: np.ndarray, J: np.ndarray) -> np.ndarray:
     rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ J
     shrink = 1 - 1 / np.sqrt(1 + values[kept])
     return flat - ((flat @ rows.T) * shrink) @ rows
+
+
+def errors_of(
+    true: Setup, stated: Setup, sigma: dict[str, float], rides: bool, priors: list[tuple[float, float]]
+) -> np.ndarray:
+    """Errors (k,) [σ] of the nuisance parameters as they are, in the order of :func:`nuisance`.
+
+    They are known, and need no chords: what one adds that moves a turn's end into another sample is not in proportion.
+    ``priors``: by how much each bias of the model is off, and its σ.
+    """
+    tilt = true.block_tilt if rides else true.room_tilt
+    off = [(true.azimuth - stated.azimuth, sigma["azimuth"]), *((angle, sigma["level"]) for angle in tilt)]
+    off += [(turn.angle_error_rad, turn.angle_sigma_rad) for turn in true.turns if turn.angle_sigma_rad]
+    off += [(s, TIMING_SIGMA_S) for turn in true.turns for s in (turn.start_shift_s, turn.end_shift_s)]
+    off += [(true.offset_s, TIMING_SIGMA_S)] if true.turns else []
+    return np.array([error / one if one else 0.0 for error, one in [*off, *priors]])
 
 
 def _shaken(shake: Shake, world: World, count: int, per_bin: int) -> np.ndarray:
@@ -158,15 +174,19 @@ def nuisance(
         start_s, end_s = late_s(turn.start_s), late_s(turn.end_s)
         timed.append((start_s, setup.with_turn(number, start_shift_s=turn.start_shift_s + start_s)))
         timed.append((end_s, setup.with_turn(number, end_shift_s=turn.end_shift_s + end_s)))
-    if setup.turns:
-        all_s = late_s(0.5 * (setup.turns[0].start_s + setup.turns[-1].end_s))
-        timed.append((all_s, replace(setup, offset_s=setup.offset_s + all_s)))
     still = world if not setup.shakes else replace(world, setup=replace(setup, shakes=()))
     base = still.inputs
     columns = [still.inputs_of(replace(other, shakes=())) - base for other in others]
-    columns += [
-        (still.inputs_of(replace(other, shakes=())) - base) * (TIMING_SIGMA_S / shift_s) for shift_s, other in timed
-    ]
+
+    def late_by_one_sigma(shift_s: float, other: Setup) -> np.ndarray:
+        return (still.inputs_of(replace(other, shakes=())) - base) * (TIMING_SIGMA_S / shift_s)
+
+    edges = [late_by_one_sigma(*one) for one in timed]
+    columns += edges
+    if edges and late[1]:  # by the same chords, or it and they would not add up
+        columns.append(np.sum(edges, axis=0))
+    elif edges:
+        columns.append(late_by_one_sigma(late[0], replace(setup, offset_s=setup.offset_s + late[0])))
     for channel, one in priors:
         column = np.zeros_like(base)
         column[:, channel] = one

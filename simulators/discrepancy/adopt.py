@@ -23,7 +23,6 @@ from simulators.discrepancy.ranking import Ranking, Scored, plainest
 from simulators.discrepancy.retuning import best_retuned
 from simulators.discrepancy.sparse import find_sparse
 from simulators.discrepancy.two_names import Together, in_place_of_curve, in_place_of_one, in_place_of_two, together
-from simulators.discrepancy.whitening import STATED
 
 Progress = Callable[[float, str], None]
 
@@ -198,13 +197,14 @@ class Searcher:
     def _took_its_place(self, one: Scored, current: Fit) -> bool:
         """Whether noise that is larger than stated, of no name, has taken for itself what one may explain.
 
-        Such is noise that only the mean asks for, of which one coefficient is all that shows.
+        Such is noise that only the mean asks for, of which one coefficient is all that shows. Not a mount's sway, which
+        several gyros show.
         """
         channels = self.evidence.channels(one.hypothesis.columns)
         slots = [slot for slot in self.evidence.slots if slot[1] in channels]
         if len(channels) != 1 or any(self.evidence.stated[slot] is None for slot in slots):
             return False
-        larger = any(current.noise[slot].level != STATED for slot in slots)
+        larger = any(not self.evidence.is_told(slot, current) for slot in slots)
         return larger and not noise_instead(self.evidence, current, channels.pop()).names
 
     def _certain(self, best: Scored, named: Sequence[Scored]) -> float:

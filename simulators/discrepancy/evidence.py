@@ -26,7 +26,7 @@ from simulators.discrepancy.repair import Gaps
 from simulators.discrepancy.resolution import last_place
 from simulators.discrepancy.sway_ends import turned_ends
 from simulators.discrepancy.sway_time import felt_sway
-from simulators.discrepancy.whitening import FREE_SHARE, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
+from simulators.discrepancy.whitening import FREE_SHARE, STATED, SWAY, WIDE, Basis, NoiseFit, cosine_basis, fit_noise
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -102,6 +102,8 @@ class Evidence:
         """Share (bins,) of what was there to be seen that came: see :meth:`.repair.Gaps.seen`."""
         self.sways = True
         """Whether the mount may sway: see :meth:`stand`."""
+        self.swaying: set[int] = set()
+        """Recordings in which the mount sways beyond doubt, as two gyros or more feel it."""
         self._tilted: set[int] = set()  # recordings in which gyros said how the mount sways
         self._rounded: dict[Slot, tuple[ChannelNoise, Array]] = {}
         self._filling: dict[Slot, Filling] = {}
@@ -204,6 +206,7 @@ class Evidence:
                 self.basis[slot] = self.basis[slot].tilted_at([at_s / _ABOUT, at_s * _ABOUT])
         angles = [angle for g, angle in zip(gyros, felt.angle_rad, strict=True) if fit.noise[g].level == SWAY]
         if len(angles) >= _FEWEST:
+            self.swaying.add(scene)
             self._feel_ends(gyros, at_s, math.sqrt(float(np.mean(np.square(angles)))))
         return True
 
@@ -217,6 +220,11 @@ class Evidence:
             self.prior |= dict.fromkeys(self.library.ends[slot], angle_rad)
         self._always = tuple(self.prior)
         self._stacks.clear()
+
+    def is_told(self, slot: Slot, fit: Fit) -> bool:
+        """Whether a slot's noise is as stated, or a sway beyond doubt; any other takes in what is no noise."""
+        level = fit.noise[slot].level
+        return level == STATED or (level == SWAY and slot[0] in self.swaying)
 
     def read_with(self, slot: Slot, noise: ChannelNoise) -> Array:
         """Return the power (bins,) of noise of any size, with its rounding as it jolts that, and with filled gaps."""

@@ -55,6 +55,7 @@ class Ranking:
         self.evidence, self.library, self.shapes = evidence, evidence.library, Shapes(evidence)
         names = {h.name for h in self.library.hypotheses if h.kind is Kind.NAMED}
         self.names = float(len(names) + 6)
+        self.curves = float(sum(h.kind is Kind.EMPIRICAL for h in self.library.hypotheses))
         self._ranked: deque[tuple[Fit, tuple[Hypothesis, ...], list[Scored]]] = deque(maxlen=_RANKED)
         self._rounding: dict[int, tuple[Array, Array]] = {}
 
@@ -99,8 +100,10 @@ class Ranking:
         return Scored(hypothesis, fit, gain, bayes_factor(gain, hypothesis.freedom, self.places(hypothesis)))
 
     def places(self, hypothesis: Hypothesis) -> float:
-        """Return the number of places that a hypothesis was one of: names, times its shapes."""
-        if hypothesis.kind is not Kind.NAMED:
+        """Return the number of places that a hypothesis was one of: names, times its shapes, or all curves."""
+        if hypothesis.kind is Kind.EMPIRICAL:
+            return self.curves
+        if hypothesis.kind is Kind.REFERENCE:
             return self.names
         return self.names * hypothesis.places
 

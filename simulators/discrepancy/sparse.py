@@ -20,7 +20,7 @@ from simulators.discrepancy.atoms import best_comb, best_line, best_sweep, level
 from simulators.discrepancy.candidates import Slot, to_cosine
 from simulators.discrepancy.evidence import Evidence, Fit
 from simulators.discrepancy.noise_names import larger_noise
-from simulators.discrepancy.whitening import STATED, Basis, NoiseFit
+from simulators.discrepancy.whitening import Basis, NoiseFit
 
 Array = NDArray[np.float64]
 
@@ -48,8 +48,8 @@ class Sparse:
 
 
 def find_sparse(evidence: Evidence, fit: Fit) -> list[Sparse]:
-    """Return the slots whose noise, other than stated, is better taken for a few steps and lines."""
-    slots = [slot for slot in evidence.slots if fit.noise[slot].level != STATED]
+    """Return the slots whose noise, of a colour that nothing tells, is better taken for a few steps and lines."""
+    slots = [slot for slot in evidence.slots if not evidence.is_told(slot, fit)]
     found = [evidence.once(fit, ("sparse", slot), partial(_of_slot, evidence, fit, slot)) for slot in slots]
     return [one for one in found if one.nats > MARGIN and (one.steps or one.lines_hz or one.sweep_hz)]
 

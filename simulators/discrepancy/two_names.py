@@ -15,7 +15,6 @@ from simulators.discrepancy.evidence import Fit, bayes_factor
 from simulators.discrepancy.look import Look
 from simulators.discrepancy.margins import TIE
 from simulators.discrepancy.ranking import Ranking, Scored, slack
-from simulators.discrepancy.whitening import STATED
 
 SLACK_OF_TWO = 3.0
 """Nats that refining may still add to what two names promise, of which at least one mostly has no shape to refine."""
@@ -44,7 +43,7 @@ def together(
     Their score passes the ``margin``. Each alone leaves so much that the noise stays wide, in which it has gained next
     to nothing. Beside the score stands what is adopted with them, for the shapes of the others may have changed.
     """
-    wide = {slot[1]: slot for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
+    wide = {slot[1]: slot for slot in ranking.evidence.slots if not ranking.evidence.is_told(slot, current)}
     if not wide:
         return None
     look = Look(ranking.evidence, current, ranking.quiet(current))
@@ -90,7 +89,7 @@ def in_place_of_one(
     One name of a wrong shape may have taken so much of two that what is left passes for a random walk. It may be one of
     the two itself, at another shape.
     """
-    wide = {slot[1] for slot in ranking.evidence.slots if current.noise[slot].level != STATED}
+    wide = {slot[1] for slot in ranking.evidence.slots if not ranking.evidence.is_told(slot, current)}
     better, best = margin, None
     for one in adopted:
         if one.kind is not Kind.NAMED or len(ranking.channels(one)) > 1 or not ranking.channels(one) <= wide:
