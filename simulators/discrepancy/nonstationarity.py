@@ -48,10 +48,16 @@ def find_unsteady(evidence: Evidence, fit: Fit) -> list[Unsteady]:
     return [one for one in found if one.nats > MARGIN]
 
 
-def _of_slot(evidence: Evidence, fit: Fit, slot: Slot) -> Unsteady:
+def unsteady_nats(evidence: Evidence, fit: Fit, slot: Slot, silenced: NDArray[np.bool_] | None = None) -> float:
+    """Return the evidence [nats] that what a fit leaves of a slot is not steady, but for the samples (n,) silenced."""
+    return _of_slot(evidence, fit, slot, silenced).nats
+
+
+def _of_slot(evidence: Evidence, fit: Fit, slot: Slot, silenced: NDArray[np.bool_] | None = None) -> Unsteady:
     basis, scene = evidence.basis[slot], evidence.library.scenes[slot[0]]
     left = idct(evidence.library.left(slot, fit.ids, fit.amplitude), norm="ortho")
-    came = ~(scene.data.missing[:, slot[1]] | scene.shaking())[: basis.n * scene.group]
+    gone = scene.data.missing[:, slot[1]] if silenced is None else silenced
+    came = ~(gone | scene.shaking())[: basis.n * scene.group]
     noise = _least_noise(evidence, fit, slot)
     rounded_hz = freely_rounded_hz(noise, basis.interval_s)
     bands = _bands(basis.n, basis.interval_s)

@@ -17,7 +17,7 @@ from drivers.recording import Recording
 from inertial.documents import CHANNELS, BlockModel, EffectEntry, ParameterValue
 from simulators.discrepancy.adopt import Adopted, Search, Searcher
 from simulators.discrepancy.candidates import REWIRED, Hypothesis, Kind, Library, Slot
-from simulators.discrepancy.clipping import find_clipped, without_limit
+from simulators.discrepancy.clipping import find_clipped
 from simulators.discrepancy.compare import MOST_SAMPLES, Scene, compare, following_vibrations
 from simulators.discrepancy.edge_noise import told_by_noise
 from simulators.discrepancy.evidence import Evidence, Fit, bayes_factor
@@ -34,7 +34,8 @@ from simulators.discrepancy.parameters import parameters_of
 from simulators.discrepancy.read_off import ReadOff, combined
 from simulators.discrepancy.remarks import remarks
 from simulators.discrepancy.rivals import find_rivals, names_instead
-from simulators.discrepancy.silence import find_silenced, without_band
+from simulators.discrepancy.silence import find_silenced
+from simulators.discrepancy.silenced_noise import WITHOUT, told_by_silence
 from simulators.discrepancy.standing import Stuck, find_stuck, without_stuck
 from simulators.discrepancy.steady_clock import at_steady_rate
 from simulators.discrepancy.stood_between_steps import stood_between_steps
@@ -54,7 +55,6 @@ Progress = Callable[[float, str], None]
 SCHEMA = "inertrim/discrepancy/1"
 _SURE = 100.0  # nats of a limit or a dead band whose samples are taken out
 _WIDE = 1.5  # σ of a sample that such a band is wide at least
-_READ_OFF = {"saturation": without_limit, "dead_band": without_band}
 OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
 """Effects that happened to a recording and are no property of the block: reported, not added to its model."""
 
@@ -124,7 +124,7 @@ def discrepancy(
     search = _searched(scenes, tell, beside=bool(mistakes or tags or stuck or read_off))
     met, wired, stood = _met_by_noise(search), _wired(search), stood_between_steps(search)
     if met or wired or stood:
-        scenes = [reduce(lambda seen, one: _READ_OFF[one.effect](seen, one), met, scene) for scene in scenes]
+        scenes = [reduce(lambda seen, one: WITHOUT[one.effect](seen, one), met, scene) for scene in scenes]
         scenes = [without_stuck(scene, [one for place, one in stood if place == n]) for n, scene in enumerate(scenes)]
         scenes = _mended(scenes, wired)
         stuck += [one for _, one in stood]
@@ -152,12 +152,12 @@ def _searched(scenes: list[Scene], tell: Progress, *, beside: bool) -> Search:
     library = Library(as_late(scenes))
     tell(0.25, "gathering")
     evidence = Evidence(library)
-    return told_by_noise(Searcher(evidence, tell, beside=beside).run())
+    return told_by_silence(told_by_noise(Searcher(evidence, tell, beside=beside).run()))
 
 
 def _met_by_noise(search: Search) -> list[ReadOff]:
     """Return limits and dead bands that were named and have no rival, met by the noise: what they leave is no noise."""
-    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect in _READ_OFF and a.score > _SURE]
+    named = [a for a in search.of_kind(Kind.NAMED) if a.hypothesis.effect in WITHOUT and a.score > _SURE]
     found = []
     for one in _without_rival(search, named):
         h, everything = one.hypothesis, [a.hypothesis for a in search.adopted]
