@@ -17,4 +17,3 @@ def test_a_limit_that_only_some_noise_meets_is_no_curve_beside_which_noise_comes
     assert (found["effect"], found["channel"]) == (hidden["effect"], hidden["channel"])
     limit = found["parameters"]["limit"]
     assert abs(limit["value"] - hidden["parameters"]["limit"]) < 4.0 * limit["sigma"]
-
