@@ -54,6 +54,7 @@ Progress = Callable[[float, str], None]
 
 SCHEMA = "inertrim/discrepancy/1"
 _SURE = 100.0  # nats of a limit or a dead band whose samples are taken out
+_MOSTLY = 0.5  # share of a channel's samples
 _WIDE = 1.5  # σ of a sample that such a band is wide at least
 OF_THE_RECORDING = frozenset({"lost_samples", "stuck_samples"})
 """Effects that happened to a recording and are no property of the block: reported, not added to its model."""
@@ -217,6 +218,7 @@ def _report(
     findings += [_read_off_finding(one, scenes) for one in read_off]
     findings += sorted((_finding(a, search, held) for a in named), key=lambda f: -f["evidence_nats"])
     no_noise = {term["channel"] for term in unexplained.unsteady} | silenced  # a dead band that comes and goes is noise
+    no_noise |= {one.channel for one in read_off if _mostly_gone(scenes, one.channel)}
     # An error in the form of a large name is noise to what is left of it.
     off = {m["channel"]: m["evidence_nats"] for m in sorted(unexplained.misfits, key=lambda m: m["evidence_nats"])}
     more = [n for n in noise.found if n.channel not in no_noise and n.score > off.get(n.channel, 0.0)]
@@ -287,6 +289,12 @@ def _refused(h: Hypothesis, search: Search, held: HeldOut) -> str | None:
         which = "a single sample (without it" if few == 1 else f"{few} samples (without them"
         return f"rests on {which} {others:.1f} of {whole:.1f} nats are left)"
     return None
+
+
+def _mostly_gone(scenes: Sequence[Scene], channel: str) -> bool:
+    """Whether most of a channel was taken out: much of what is left is ends of gaps, where rounding adds to noise."""
+    gone = [scene.data.missing[:, CHANNELS.index(channel)] for scene in scenes]
+    return float(np.mean(np.concatenate(gone))) > _MOSTLY
 
 
 def _finding(adopted: Adopted, search: Search, held: HeldOut) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import lambertw, ndtri
 
 from inertial.documents import CHANNELS
 from simulators.discrepancy.compare import Scene, following_vibrations
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _CHANCE = 1e-5  # of a run of equal readings arising by itself in a channel that reads whole steps, the worst case
 _SHORTEST_RUN = 3
 _SHORT_RUN = 6
+_INPUTS = 20.0  # that a record has at most, which are steady for as long as a run
 _CUSTOM = 10  # runs from which on they are a custom
 _ASIDE = 100  # samples on either side of a run, at least, that say what the register should have read
 _NEXT = 10  # samples next to a run, and as many again as it has
@@ -165,7 +166,7 @@ def _standing(
     if not same.any() or same.all():
         return []
     first, last = runs(same)
-    lengths = last - first
+    lengths, at_nothing = last - first, increment[first] == 0.0
     step = step_of(increment)
     quiet = off[shaken == 0.0]  # where it is shaken it is never off: the course is the reading's own
     quiet = quiet if quiet.size > _FEWEST_BLOCKS * _BLOCK else off
@@ -175,14 +176,17 @@ def _standing(
     fast = min(noise, math.sqrt(math.pi) / 2.0 * float(changes[: int(0.98 * changes.size)].mean()))
     by_custom = longest_by_custom(lengths, same.size)
     white = min(fast, white_by_model)
-    longest = np.full(lengths.size, max(longest_by_rounding(white / step, same.size), by_custom))
+    by_rounding = np.where(
+        at_nothing, longest_by_rounding(white / step, same.size), longest_off_zero(white / step, same.size)
+    )
+    longest = np.maximum(by_rounding, by_custom)
     jolts = _jolts(shaken, first, last)
     for run, jolt in enumerate(jolts):
         if jolt > white:
             longest[run] = min(longest[run], max(longest_by_rounding(float(jolt) / step, same.size), _SHORT_RUN))
     candidate = (lengths >= _SHORTEST_RUN) & ~_at_limit(increment, said, first, last, step)
     candidate &= (lengths >= longest) | _may_be_astray(off, first, last, step, noise)
-    at_zero = candidate & (increment[first] == 0.0)
+    at_zero = candidate & at_nothing
     if _is_dead_band(first[at_zero], last[at_zero], increment / step, said / step, white / step):
         candidate &= ~at_zero
     # A coarse readout of a small input is at zero most of the time.
@@ -323,10 +327,28 @@ def longest_by_rounding(steps: float, size: int) -> float:
     A random walk stays within one step for L samples with probability exp(-λL), λ = π²σ²/2 for small σ, the step
     widened by 1.166 σ for a walk that is looked at once a sample (Siegmund 1985, ch. 10).
     """
+    nats, leaving = _staying(steps, size)
+    return nats / leaving
+
+
+def longest_off_zero(steps: float, size: int) -> float:
+    """Return the length that runs of readings other than zero reach by chance.
+
+    Of inputs of any size one in L/2 is within a step in L samples of a whole number of steps, and a record has few.
+    """
+    nats, leaving = _staying(steps, size)
+    if nats < 2.0 * _INPUTS * leaving:
+        return nats / leaving
+    # L·λ + ln(L/2) = nats + ln inputs.
+    return float(lambertw(2.0 * _INPUTS * leaving * math.exp(nats)).real) / leaving
+
+
+def _staying(steps: float, size: int) -> tuple[float, float]:
+    """Return how unlikely a run must be [nats], of all that could be, and how much so it grows with every sample."""
     leaving = 0.5 * (math.pi * steps / (1.0 + 1.166 * steps)) ** 2
     if steps > 1.0:
         leaving = min(leaving, math.log(2.5 * steps))
-    return math.log(max(size * leaving, 1.0) / _CHANCE) / max(leaving, 1e-9)
+    return math.log(max(size * leaving, 1.0) / _CHANCE), max(leaving, 1e-9)
 
 
 def longest_by_custom(lengths: NDArray[np.int64], size: int) -> float:

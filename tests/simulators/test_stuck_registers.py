@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from closed_form import GRAVITY_MPS2, RATE_HZ, model, recording
 from hidden_case import hidden_case
+from scipy.stats import binom
 
 from drivers.recording import Recording, RecordingMeta
 from simulators.discrepancy.compare import compare
 from simulators.discrepancy.report import discrepancy
-from simulators.discrepancy.standing import find_stuck
+from simulators.discrepancy.standing import find_stuck, longest_by_rounding, longest_off_zero
 
 STEP_MPS = 1.5e-4  # the noise of a sample is 0.3 of it
 
@@ -58,6 +59,25 @@ def test_repeats_that_chance_makes_once_in_a_thousand_channels_are_no_stuck_regi
     assert find_stuck(compare(case.recording, case.model))[1] == []
 
 
+@pytest.mark.parametrize("samples", [100, 200, 400])
+def test_few_inputs_of_any_size_are_read_alike_for_long(samples: int) -> None:
+    """Of inputs of any size no more stay within a step than two in as many samples, by the walk of their noise."""
+    steps, draws = 0.04, 40_000
+    rng = np.random.default_rng(samples)
+    total = np.zeros((draws, samples)) + rng.uniform(0.0, 1.0, (draws, 1))
+    total += np.cumsum(rng.uniform(-0.5, 0.5, (draws, 1)) + rng.normal(0.0, steps, (draws, samples)), axis=1)
+    stayed = np.count_nonzero(np.ptp(np.floor(total), axis=1) == 0.0)
+    leaving = 0.5 * (np.pi * steps / (1.0 + 1.166 * steps)) ** 2
+    assert 0 < stayed < binom.ppf(0.999, draws, 2.0 / samples * np.exp(-leaving * samples))
+
+
+@pytest.mark.parametrize("steps", [0.02, 0.1, 0.5, 3.0])
+def test_a_reading_other_than_zero_stays_for_no_longer_than_zero(steps: float) -> None:
+    """And of few samples as long: then any input is as good."""
+    assert longest_off_zero(steps, 30_000) <= longest_by_rounding(steps, 30_000)
+    assert longest_off_zero(5.0, 30_000) == longest_by_rounding(5.0, 30_000)
+
+
 @pytest.mark.parametrize("mean_steps", [7.0, 7.4, 0.38])
 def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float) -> None:
     case = coarse(recording(None, 9, moving=False), mean_steps=mean_steps)
@@ -92,6 +112,8 @@ def test_a_register_that_stands_still_is_found_where_it_stands(mean_steps: float
         (90624, 450, 1.321),
         # In a turn about another axis, of which as much is felt as half a step a sample, and nothing soon after it.
         (90633, 131, 0.528),
+        # Eleven seconds, as long as rounding could make them of an input of whole steps: of three, which it is not.
+        (90641, 222, 11.06),
     ],
 )
 def test_a_register_that_stood_still_is_found_though_what_goes_on_about_it_looks_like_it(
