@@ -43,6 +43,13 @@ BARS = {
 }
 
 
+def warm_up() -> None:
+    """Run a case that does not count: what is compiled once, on first use, is the time of no case."""
+    with tempfile.TemporaryDirectory() as passing:
+        _outcome(passing, 0).parent.mkdir()
+        run_chunk(0, [0], passing, peers=False)
+
+
 def run_chunk(seed: int, numbers: list[int], work: str, peers: bool) -> None:
     """Have cases made, run the workflow on each and write down what it reported, one file a case."""
     cases, truth = Path(work, "cases"), Path(work, "truth")
@@ -97,8 +104,8 @@ def run(seed: int, cases: int, peers: bool, workers: int, work: Path) -> list[tu
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"  # both cores are busy with a case each; read when a worker, begun anew, imports numpy
     _outcome(work, 0).parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        missing = [chunk for chunk in chunks if not all(_outcome(work, number).exists() for number in chunk)]
+    missing = [chunk for chunk in chunks if not all(_outcome(work, number).exists() for number in chunk)]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=warm_up) as pool:
         jobs = [pool.submit(run_chunk, seed, chunk, str(work), peers) for chunk in missing]
         for job in as_completed(jobs):
             job.result()
