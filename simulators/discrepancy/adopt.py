@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -66,6 +66,14 @@ class Search:
     def of_kind(self, kind: Kind) -> list[Adopted]:
         """Return what was adopted of one kind."""
         return [a for a in self.adopted if a.hypothesis.kind is kind]
+
+    def with_instead(self, entry: Adopted, other: Adopted) -> Search:
+        """Return the search with another adopted in the place of one."""
+        adopted = [other if one is entry else one for one in self.adopted]
+        everything = [one.hypothesis for one in adopted]
+        ranking = Ranking(self.evidence)
+        fit = ranking.fit_of(everything, self.fit)
+        return replace(self, adopted=adopted, fit=fit, left=partial(ranking.rank, fit, everything))
 
     def gains(self, hypothesis: Hypothesis) -> dict[str, float]:
         """Return what one of the adopted gains [nats] by channel: what the others with it would lose without it."""

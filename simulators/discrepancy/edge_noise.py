@@ -7,8 +7,6 @@ input, width and what is stated, so that one number explains what takes two by a
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +35,7 @@ def told_by_noise(search: Search) -> Search:
     for entry in search.of_kind(Kind.NAMED):
         band = _band_instead(search, entry)
         if band is not None:
-            adopted = [band if one is entry else one for one in search.adopted]
-            everything = [one.hypothesis for one in adopted]
-            ranking = Ranking(search.evidence)
-            fit = ranking.fit_of(everything, search.fit)
-            search = replace(search, adopted=adopted, fit=fit, left=partial(ranking.rank, fit, everything))
+            search = search.with_instead(entry, band)
     return search
 
 

@@ -7,7 +7,6 @@ sample is silenced it has no noise, so that the noise comes and goes with the in
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +33,7 @@ def told_by_silence(search: Search) -> Search:
     for entry in search.of_kind(Kind.NAMED):
         silencing = _silencing(search, entry)
         if silencing is not None:
-            adopted = [silencing if one is entry else one for one in search.adopted]
-            everything = [one.hypothesis for one in adopted]
-            ranking = Ranking(search.evidence)
-            fit = ranking.fit_of(everything, search.fit)
-            search = replace(search, adopted=adopted, fit=fit, left=partial(ranking.rank, fit, everything))
+            search = search.with_instead(entry, silencing)
     return search
 
 
