@@ -44,7 +44,7 @@ def _silencing(search: Search, entry: Adopted) -> Adopted | None:
     if h.effect in WITHOUT or len(channels) != 1:
         return None
     slots = [slot for slot in evidence.slots if slot[1] in channels]
-    before = sum(unsteady_nats(evidence, search.fit, slot) for slot in slots)
+    before = sum(max(0.0, unsteady_nats(evidence, search.fit, slot)) for slot in slots)
     if before <= MARGIN:
         return None
     ranking, rest = Ranking(evidence), [one.hypothesis for one in search.adopted if one is not entry]
@@ -56,11 +56,8 @@ def _silencing(search: Search, entry: Adopted) -> Adopted | None:
     for rival in ranking.rank_against(replace(own, score=own.score - before), without, rest):
         if rival.hypothesis.effect not in WITHOUT or rival.hypothesis.channel != channel:
             continue
-        silenced = [_silenced(search, rival, place) for place, _ in slots]
-        after = sum(
-            max(0.0, unsteady_nats(evidence, rival.fit, slot, gone)) for slot, gone in zip(slots, silenced, strict=True)
-        )
-        told = before - after
+        after = [unsteady_nats(evidence, rival.fit, slot, _silenced(search, rival, slot[0])) for slot in slots]
+        told = before - sum(max(0.0, nats) for nats in after)
         if rival.score + told > best:
             best = rival.score + told
             found = Adopted(rival.hypothesis, rival.gain + told, best, noise_nats=told)

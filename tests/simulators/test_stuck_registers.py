@@ -73,8 +73,10 @@ def test_few_inputs_of_any_size_are_read_alike_for_long(samples: int) -> None:
 
 @pytest.mark.parametrize("steps", [0.02, 0.1, 0.5, 3.0])
 def test_a_reading_other_than_zero_stays_for_no_longer_than_zero(steps: float) -> None:
-    """And of few samples as long: then any input is as good."""
     assert longest_off_zero(steps, 30_000) <= longest_by_rounding(steps, 30_000)
+
+
+def test_a_reading_of_few_samples_stays_as_long_whatever_it_is() -> None:
     assert longest_off_zero(5.0, 30_000) == longest_by_rounding(5.0, 30_000)
 
 
